@@ -32,6 +32,7 @@ from sweep.engines.closed_loop import classify_sensing
 from sweep.engines.mjx import MjxEngine
 from sweep.fused import cuda, launch
 from sweep.systems.mujoco_model import nominal
+from sweep.systems.mujoco_model.kernel_engine import KernelModelEngine
 from sweep.systems.mujoco_model.model_spec import SideValues
 
 DATA = Path(__file__).with_name("data")
@@ -76,6 +77,7 @@ def model_printer(name: str) -> tuple[launch.TracedProgram, cuda.GpuPrinter]:
         }
         system, settings, *_ = nominal(values, {})
         engine = system.make_engine(settings, *system.make_sides({}), limits=None)
+        assert isinstance(engine, KernelModelEngine)
         world = SideValues(tuple((path, np.ones(2)) for path in varied))
         with engine._within():
             _, _, varied, inputs, carry, *_ = engine._start(world, SideValues(), np.arange(2))

@@ -13,24 +13,27 @@ from sweep.systems.mujoco_model.geom_pairs import may_touch
 from sweep.systems.mujoco_model.kernel.layout import BOX, CAPSULE, Layout, Plane, refuse
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers, power_of
 from sweep.systems.mujoco_model.kernel.scalars import (
+    NO_MATRIX,
     NOTHING,
     ONE,
     ZERO,
     Scalar,
     Symmetric,
     Vector,
+    as_symmetric,
     clip,
     known_vector,
     largest,
-    outer_product,
     rotate,
     smallest,
     square_root,
     where,
 )
-from sweep.systems.mujoco_model.kernel.smooth import RobotState, Smooth, wrench_at
+from sweep.systems.mujoco_model.kernel.smooth import RobotState, Smooth, Spatial, wrench_at
 
 TINY = 1e-15  # below which MuJoCo takes a number for 0
+LEAST_FRICTION = 1e-5  # MuJoCo's mjMINMU
+FRICTION_OF_DIMENSION = (0, 0, 1, 2, 2)  # which of a geom's three frictions each dimension after the first has
 ELLIPTIC = int(mujoco.mjtCone.mjCONE_ELLIPTIC)
 CORNERS = np.array([[1, y, z] for y in (-1, 1) for z in (-1, 1)], float)  # one of each opposite pair
 
@@ -62,10 +65,15 @@ class Contact(NamedTuple):
     point: Point
     at: Vector  # from the base's origin
     frame: tuple[Vector, Vector, Vector]  # normal and tangents, world axes
-    friction: Scalar | None  # None for none: condim 1
-    regular: Scalar  # friction over the root of impratio: of an elliptic cone
+    friction: tuple[Scalar, ...]  # of each dimension after the normal one: sliding twice, torsional, rolling twice
+    regular: Scalar  # sliding friction over the root of impratio: of an elliptic cone
     weight: Scalar  # inverse of the regularization; 0 without contact
-    wanted: Vector  # acceleration along normal and tangents
+    wanted: tuple[Scalar, ...]  # accelerations along normal and tangents, then angular ones about them
+
+    @property
+    def dim(self) -> int:
+        """Number of dimensions: 1, 3, 4 or 6."""
+        return len(self.friction) + 1
 
 
 class JointRow(NamedTuple):
@@ -167,7 +175,7 @@ def find_contacts(layout: Layout, numbers: ModelNumbers, state: RobotState, smoo
             at = centre - normal * (point.radius + distance * 0.5)
             along = None if point.along is None else rotate(place.axes, point.along)
             frame = (normal, *_tangents(normal, along))
-            found.append(_contact(numbers, plane.geom, point, distance, at, frame, place.motion.velocity_at(at)))
+            found.append(_contact(numbers, plane.geom, point, distance, at, frame, place.motion))
     return found
 
 
@@ -194,9 +202,9 @@ def _tangents(normal: Vector, along: Vector | None) -> tuple[Vector, Vector]:
 
 
 def _contact(
-    numbers: ModelNumbers, plane: int, point: Point, distance: Scalar, at: Vector, frame: Any, velocity: Vector
+    numbers: ModelNumbers, plane: int, point: Point, distance: Scalar, at: Vector, frame: Any, motion: Spatial
 ) -> Contact:
-    """A row of contacts from distances (m), places and velocities (m/s)."""
+    """A row of contacts from distances (m), places and the motion of the bodies."""
     model, geoms, ground = numbers.model, point.geoms, np.array([plane])
     dims = np.maximum(model.geom_condim[geoms], model.geom_condim[plane])
     first, second = (model.geom_priority[one] for one in (geoms, ground))
@@ -204,7 +212,8 @@ def _contact(
     if len(set(wins.tolist())) > 1 or len(set(dims.tolist())) > 1:
         raise refuse("limbs whose contacts differ in priority or dimension")
     dim = int({0: dims[0], 1: model.geom_condim[geoms[0]], -1: model.geom_condim[plane]}[int(wins[0])])
-    law, friction = _mix(numbers, geoms, ground, int(wins[0]))
+    law, frictions = _mix(numbers, geoms, ground, int(wins[0]))
+    friction = frictions[0]
     margin = _sum_margins(numbers, geoms, ground)
     inverse = numbers.get("body_invweight0", point.bodies, 0) + numbers.get("body_invweight0", np.array([0]), 0)
     impratio = numbers.get("opt.impratio")
@@ -215,11 +224,27 @@ def _contact(
     weight = where(distance < margin, impedance / (inverse * (1 - impedance)), ZERO)
     if not point.real.all():
         weight = weight * Scalar(point.real.astype(float))
-    speed = [one.dot(velocity) for one in frame]
+    speed = contact_components(frame, motion.velocity_at(at), motion.angular, dim)
     wanted = -(speed[0] * law.damping) - law.stiffness * impedance * (distance - margin)
-    tangents = [-(one * law.damping) for one in speed[1:]]
+    others = tuple(-(one * law.damping) for one in speed[1:])
     regular = friction / square_root(impratio)
-    return Contact(point, at, frame, friction if dim > 1 else None, regular, weight, Vector(wanted, *tangents))
+    chosen = tuple(frictions[k] for k in FRICTION_OF_DIMENSION[: dim - 1])
+    return Contact(point, at, frame, chosen, regular, weight, (wanted, *others))
+
+
+def contact_components(frame: Any, linear: Vector, angular: Vector, dim: int) -> tuple[Scalar, ...]:
+    """Return the components of a motion at a contact.
+
+    Args:
+        frame: Normal and tangents.
+        linear: Motion of the point of contact, in world axes.
+        angular: Angular motion, in world axes.
+        dim: Dimensions of the contact.
+
+    Returns:
+        Linear components along normal and tangents, then angular ones, `dim` in all.
+    """
+    return tuple(frame[k % len(frame)].dot(linear if k < len(frame) else angular) for k in range(dim))
 
 
 def _sum_margins(numbers: ModelNumbers, geoms: np.ndarray, plane: np.ndarray) -> Scalar:
@@ -227,15 +252,16 @@ def _sum_margins(numbers: ModelNumbers, geoms: np.ndarray, plane: np.ndarray) ->
     return numbers.get("geom_margin", geoms) + numbers.get("geom_margin", plane)
 
 
-def _mix(numbers: ModelNumbers, geoms: np.ndarray, plane: np.ndarray, winner: int) -> tuple[Law, Scalar]:
-    """Law and friction of two geoms: those of the one of higher priority, or mixed."""
+def _mix(numbers: ModelNumbers, geoms: np.ndarray, plane: np.ndarray, winner: int) -> tuple[Law, list[Scalar]]:
+    """Law and friction (sliding, torsional, rolling) of two geoms: of the one of higher priority, or mixed."""
     each = (numbers.get("geom_solmix", geoms), numbers.get("geom_solmix", plane))
     if winner:
         share = ONE if winner > 0 else ZERO
-        friction = numbers.get("geom_friction", geoms if winner > 0 else plane, 0)
+        friction = [numbers.get("geom_friction", geoms if winner > 0 else plane, k) for k in range(3)]
     else:
         share = each[0] / (each[0] + each[1])
-        friction = largest(numbers.get("geom_friction", geoms, 0), numbers.get("geom_friction", plane, 0))
+        both = ([numbers.get("geom_friction", one, k) for one in (geoms, plane)] for k in range(3))
+        friction = [largest(*each) for each in both]
 
     def mix_number(name: str, k: int) -> Scalar:
         return share * numbers.get(name, geoms, k) + (1 - share) * numbers.get(name, plane, k)
@@ -244,7 +270,9 @@ def _mix(numbers: ModelNumbers, geoms: np.ndarray, plane: np.ndarray, winner: in
     if not winner and min(float(numbers.model.geom_solref[g, 0]) for g in (*geoms, *plane)) <= 0:
         least = [smallest(numbers.get("geom_solref", geoms, k), numbers.get("geom_solref", plane, k)) for k in range(2)]
         reference = least  # direct formats are not mixed
-    return make_law(numbers, reference, [mix_number("geom_solimp", k) for k in range(5)]), largest(friction, 1e-5)
+    return make_law(numbers, reference, [mix_number("geom_solimp", k) for k in range(5)]), [
+        largest(one, LEAST_FRICTION) for one in friction
+    ]
 
 
 def make_law(numbers: ModelNumbers, reference: list[Scalar], impedance: list[Scalar]) -> Law:
@@ -255,7 +283,8 @@ def make_law(numbers: ModelNumbers, reference: list[Scalar], impedance: list[Sca
         raise refuse("time constants, or midpoints and powers of impedance, that differ between rollouts")
     time = np.ravel(reference[0].value)
     if (time > 0).all():
-        constant = largest(reference[0], 2 * numbers.model.opt.timestep)
+        is_safe = not numbers.model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_REFSAFE)
+        constant = largest(reference[0], 2 * numbers.model.opt.timestep if is_safe else 0.0)
         stiffness = 1 / (top * top * constant * constant * reference[1] * reference[1])
         damping = 2 / (top * constant)
     else:
@@ -318,92 +347,196 @@ def _joint_law(numbers: ModelNumbers, kind: str, ids: np.ndarray) -> Law:
     return make_law(numbers, reference, [numbers.get(f"{kind}_solimp", ids, k) for k in range(5)])
 
 
-class ContactSlope(NamedTuple):
-    """Force of a row of contacts at a residual, and the second derivative of the cost, in the contact's frame."""
+class Curve(NamedTuple):
+    """Second derivative of a row's cost in world axes: forces and moments at the contact per unit of its motion."""
 
-    force: Vector  # along normal and tangents
-    curve: Symmetric  # likewise
+    linear: Symmetric  # force by linear motion
+    mixed: tuple[Vector, Vector, Vector] | None  # force by angular motion, by rows; None for condim 1 and 3
+    angular: Symmetric  # moment by angular motion
+
+    def push(self, motion: Spatial) -> Spatial:
+        """Return force and moment at the contact by the motion of its point and its angular motion."""
+        force = self.linear @ motion.linear
+        if self.mixed is None:
+            return Spatial(force, NOTHING)
+        force = force + Vector(*(row.dot(motion.angular) for row in self.mixed))
+        moment = self.angular @ motion.angular
+        for row, speed in zip(self.mixed, motion.linear, strict=True):
+            moment = moment + row * speed
+        return Spatial(force, moment)
 
 
-def contact_slope(contact: Contact, residual: Vector, is_elliptic: bool) -> ContactSlope:
-    """Return the force of a row of contacts and the second derivative of its cost, in the contact's frame."""
-    weight = contact.weight
-    if contact.friction is None:
-        inside = residual.x < ZERO
-        force = -(weight * smallest(residual.x, ZERO))
-        curve = where(inside, weight, ZERO)
-        return ContactSlope(Vector(force, ZERO, ZERO), Symmetric(curve, ZERO, ZERO, ZERO, ZERO, ZERO))
-    if not is_elliptic:
-        return _pyramid_slope(contact, residual)
-    mu, friction = contact.regular, contact.friction
-    normal = residual.x * mu
-    u = residual.y * friction, residual.z * friction
-    slip = square_root(u[0] * u[0] + u[1] * u[1])
+class _Cone(NamedTuple):
+    """Where a residual is, of an elliptic cone of any dimension."""
+
+    normal: Scalar  # scaled by `Contact.regular`
+    sideways: list[Scalar]  # the others, scaled by their friction
+    slip: Scalar  # their length
+    is_open: Any
+    sticks: Any
+
+
+def _find_cone(contact: Contact, residual: tuple[Scalar, ...]) -> _Cone:
+    normal = residual[0] * contact.regular
+    sideways = [a * b for a, b in zip(residual[1:], contact.friction, strict=True)]
+    slip = square_root(sum((one * one for one in sideways), ZERO))
+    return _Cone(normal, sideways, slip, *_zones(contact.regular, normal, slip))
+
+
+def _zones(mu: Scalar, normal: Scalar, slip: Scalar) -> tuple[Any, Any]:
+    """Whether an elliptic contact is open, and whether it sticks; else it slides."""
     is_open = ~(normal < mu * slip)
     sticks = (mu * normal + slip < ZERO) | ~(slip > ZERO) & (normal < ZERO)
-    share = weight / (mu * mu * (1 + mu * mu))
-    inverse = 1 / where(slip > ZERO, slip, ONE)
-    excess = normal - mu * slip
-    pull = share * excess
-    cone = [-(pull * mu), *(pull * mu * inverse * one * friction for one in u)]
-    # rows 1 and 2 of an elliptic contact have the weight of row 0, times impratio: of friction / regular, squared
-    ratio = friction / mu
-    tangential = weight * ratio * ratio
-    stick = [-(weight * residual.x), -(tangential * residual.y), -(tangential * residual.z)]
-    force = [where(sticks, a, where(is_open, ZERO, b)) for a, b in zip(stick, cone, strict=True)]
-    along = [one * inverse for one in u]
-    turn = mu * normal * inverse
-    level = mu * mu - turn
-    bent = Symmetric(
-        share * mu * mu,
-        share * (level + turn * along[0] * along[0]) * friction * friction,
-        share * (level + turn * along[1] * along[1]) * friction * friction,
-        -(share * mu * along[0]) * mu * friction,
-        -(share * mu * along[1]) * mu * friction,
-        share * turn * along[0] * along[1] * friction * friction,
-    )
-    plain = Symmetric(weight, tangential, tangential, ZERO, ZERO, ZERO)
-    curve = Symmetric(*(where(sticks, a, where(is_open, ZERO, b)) for a, b in zip(plain, bent, strict=True)))
-    return ContactSlope(Vector(force[0], force[1], force[2]), curve)
+    return is_open, sticks
 
 
-def _edges(contact: Contact, residual: Vector) -> list[Scalar]:
-    """Residuals of the four edges of a pyramid."""
-    friction: Any = contact.friction
-    y, z = friction * residual.y, friction * residual.z
-    return [residual.x + y, residual.x - y, residual.x + z, residual.x - z]
+def _sliding_weight(contact: Contact) -> Scalar:
+    """Weight of a sliding contact's distance from an elliptic cone."""
+    square = contact.regular * contact.regular
+    return contact.weight / (square * (1 + square))
 
 
-def _pyramid_slope(contact: Contact, residual: Vector) -> ContactSlope:
-    friction: Any = contact.friction
-    edges = _edges(contact, residual)
-    low = [smallest(one, ZERO) for one in edges]
-    minus = -contact.weight
-    turn = minus * friction
-    force = Vector(minus * (low[0] + low[1] + low[2] + low[3]), turn * (low[0] - low[1]), turn * (low[2] - low[3]))
-    active = [where(one < ZERO, contact.weight, ZERO) for one in edges]
-    y, z, square = active[0] + active[1], active[2] + active[3], friction * friction
-    curve = Symmetric(
-        y + z, square * y, square * z, friction * (active[0] - active[1]), friction * (active[2] - active[3]), ZERO
-    )
-    return ContactSlope(force, curve)
+def _sticking_weights(contact: Contact) -> list[Scalar]:
+    """Weights of the rows of a sticking contact: those after the first have its weight times (friction / regular)^2."""
+    ratios = [one / contact.regular for one in contact.friction]
+    return [contact.weight, *(contact.weight * one * one for one in ratios)]
 
 
-def contact_line(contact: Contact, residual: Vector, change: Vector, is_elliptic: bool) -> tuple[Scalar, Scalar]:
-    """Return first and second derivative of a row's cost along a change of its residual."""
-    if contact.friction is None or not is_elliptic:
-        pairs = (
-            [(residual.x, change.x)]
-            if contact.friction is None
-            else zip(_edges(contact, residual), _edges(contact, change), strict=True)
-        )
-        first, second = ZERO, ZERO
-        for one, moved in pairs:
-            pull = where(one < ZERO, contact.weight * moved, ZERO)
-            first, second = first + pull * one, second + pull * moved
-        return first, second
-    slope = contact_slope(contact, residual, is_elliptic)
-    return -slope.force.dot(change), change.dot(slope.curve @ change)
+def contact_force(contact: Contact, residual: tuple[Scalar, ...], is_elliptic: bool) -> tuple[Scalar, ...]:
+    """Return the forces of a row of contacts, in N, and moments, in N m.
+
+    Args:
+        contact: The row of contacts.
+        residual: Residuals of its dimensions.
+        is_elliptic: Whether its cone is elliptic.
+
+    Returns:
+        A number for each dimension of the contact.
+    """
+    weight = contact.weight
+    if contact.dim == 1:
+        return (-(weight * smallest(residual[0], ZERO)),)
+    if not is_elliptic:
+        edges = [[smallest(one, ZERO) for one in pair] for pair in _edges(contact, residual)]
+        normal = -(weight * sum((a + b for a, b in edges), ZERO))
+        turned = [-(weight * friction * (a - b)) for friction, (a, b) in zip(contact.friction, edges, strict=True)]
+        return (normal, *turned)
+    cone, mu = _find_cone(contact, residual), contact.regular
+    pull = _sliding_weight(contact) * (cone.normal - mu * cone.slip) * mu
+    inverse = 1 / where(cone.slip > ZERO, cone.slip, ONE)
+    slide = [-pull, *(pull * inverse * a * b for a, b in zip(cone.sideways, contact.friction, strict=True))]
+    stick = [-(a * b) for a, b in zip(_sticking_weights(contact), residual, strict=True)]
+    return tuple(where(cone.sticks, a, where(cone.is_open, ZERO, b)) for a, b in zip(stick, slide, strict=True))
+
+
+def contact_curve(contact: Contact, residual: tuple[Scalar, ...], is_elliptic: bool) -> Curve:
+    """Return the second derivative of the cost of a row of contacts, see `contact_force`."""
+    weight, dim = contact.weight, contact.dim
+    lower = [[ZERO] * (i + 1) for i in range(dim)]  # in the contact's frame
+    if dim == 1:
+        lower[0][0] = where(residual[0] < ZERO, weight, ZERO)
+    elif not is_elliptic:
+        for i, (one, other) in enumerate(_edges(contact, residual), 1):
+            a, b = (where(edge < ZERO, weight, ZERO) for edge in (one, other))
+            friction = contact.friction[i - 1]
+            lower[0][0] = lower[0][0] + a + b
+            lower[i][0] = friction * (a - b)
+            lower[i][i] = friction * friction * (a + b)
+    else:
+        cone, mu = _find_cone(contact, residual), contact.regular
+        share, inverse = _sliding_weight(contact), 1 / where(cone.slip > ZERO, cone.slip, ONE)
+        turn = mu * cone.normal * inverse
+        level = mu * mu - turn
+        along = [one * inverse for one in cone.sideways]
+        stick = _sticking_weights(contact)
+        slides = where(cone.is_open, ZERO, share)
+        slides = where(cone.sticks, ZERO, slides)
+        lower[0][0] = where(cone.sticks, stick[0], slides * mu * mu)
+        for i, (way, friction) in enumerate(zip(along, contact.friction, strict=True), 1):
+            part = slides * friction
+            lower[i][0] = -(part * mu * mu * way)
+            for j in range(1, i + 1):
+                bend = turn * way * along[j - 1] + (level if i == j else ZERO)
+                lower[i][j] = part * bend * contact.friction[j - 1]
+            lower[i][i] = where(cone.sticks, stick[i], lower[i][i])
+    return _curve_in_world(contact.frame, lower)
+
+
+def _curve_in_world(frame: tuple[Vector, Vector, Vector], lower: list[list[Scalar]]) -> Curve:
+    """Turn a matrix of the contact's frame, given by its lower triangle, to the world's axes."""
+    dim = len(lower)
+
+    def block(rows: range, columns: range) -> list[Vector]:
+        """Rows of the sum of frame[i] C[i][j] frame[j]ᵀ over a block of the matrix."""
+        found = [NOTHING] * 3
+        for i in rows:
+            inner = NOTHING
+            for j in columns:
+                inner = inner + frame[j % 3] * lower[max(i, j)][min(i, j)]
+            found = [row + inner * part for row, part in zip(found, frame[i % 3], strict=True)]
+        return found
+
+    forces, moments = range(min(dim, 3)), range(3, dim)
+    linear = as_symmetric(block(forces, forces))
+    if dim <= 3:
+        return Curve(linear, None, NO_MATRIX)
+    mixed = block(forces, moments)
+    return Curve(linear, (mixed[0], mixed[1], mixed[2]), as_symmetric(block(moments, moments)))
+
+
+def _edges(contact: Contact, residual: tuple[Scalar, ...]) -> list[tuple[Scalar, Scalar]]:
+    """Residuals of each pair of opposite edges of a pyramid."""
+    scaled = [a * b for a, b in zip(contact.friction, residual[1:], strict=True)]
+    return [(residual[0] + one, residual[0] - one) for one in scaled]
+
+
+class ContactLine(NamedTuple):
+    """The cost of a row of contacts along a change of its residual."""
+
+    contact: Contact
+    edges: list[tuple[Scalar, Scalar]]  # residual and its change, of the normal or of all edges of a pyramid
+    normal: tuple[Scalar, Scalar] | None  # of an elliptic cone, scaled: at the start, and its change
+    slip: tuple[Scalar, Scalar, Scalar] | None  # square of the slip by the powers of the length, half of the middle one
+
+    def slopes(self, length: Scalar) -> tuple[Scalar, Scalar]:
+        """Return first and second derivative of the cost at a length."""
+        first, second, weight = ZERO, ZERO, self.contact.weight
+        if self.normal is None or self.slip is None:
+            for start, change in self.edges:
+                residual = start + length * change
+                pull = where(residual < ZERO, weight * change, ZERO)
+                first, second = first + pull * residual, second + pull * change
+            return first, second
+        mu, (start, change), (least, middle, square) = self.contact.regular, self.normal, self.slip
+        normal, rise = start + length * change, middle + length * square
+        slip = square_root(largest(least + length * (middle + rise), ZERO))
+        is_open, sticks = _zones(mu, normal, slip)
+        stick = weight / (mu * mu)
+        bend = stick * (change * change + square)
+        pull = stick * (start * change + middle) + length * bend
+        inverse = 1 / where(slip > ZERO, slip, ONE)
+        turn = rise * inverse
+        gap, grows = normal - mu * slip, change - mu * turn
+        share = _sliding_weight(self.contact)
+        slides = share * (grows * grows - gap * mu * inverse * largest(square - turn * turn, ZERO))
+        first = where(sticks, pull, where(is_open, ZERO, share * gap * grows))
+        return first, where(sticks, bend, where(is_open, ZERO, slides))
+
+
+def contact_line(
+    contact: Contact, residual: tuple[Scalar, ...], change: tuple[Scalar, ...], is_elliptic: bool
+) -> ContactLine:
+    """Return the cost of a row of contacts along a change of its residual."""
+    if contact.dim == 1:
+        return ContactLine(contact, [(residual[0], change[0])], None, None)
+    if not is_elliptic:
+        starts, changes = _edges(contact, residual), _edges(contact, change)
+        edges = [pair for both in zip(starts, changes, strict=True) for pair in zip(*both, strict=True)]
+        return ContactLine(contact, edges, None, None)
+    a, b = ([x * friction for x, friction in zip(one[1:], contact.friction, strict=True)] for one in (residual, change))
+    products = [sum((x * y for x, y in zip(*pair, strict=True)), ZERO) for pair in ((a, a), (a, b), (b, b))]
+    normal = residual[0] * contact.regular, change[0] * contact.regular
+    return ContactLine(contact, [], normal, (products[0], products[1], products[2]))
 
 
 def row_force(row: JointRow, residual: Scalar) -> tuple[Scalar, Scalar]:
@@ -416,25 +549,10 @@ def row_force(row: JointRow, residual: Scalar) -> tuple[Scalar, Scalar]:
     return force, where((pull < row.most) & (-row.most < pull), row.weight, ZERO)
 
 
-def contact_wrench(contact: Contact, force: Vector) -> Any:
-    """Return the wrench on the body of a force in the contact's frame."""
-    normal, first, second = contact.frame
-    return wrench_at(contact.at, normal * force.x + first * force.y + second * force.z)
-
-
-def world_curve(contact: Contact, curve: Symmetric) -> Symmetric:
-    """Return a matrix of the contact's frame in the world's axes."""
-    normal, first, second = contact.frame
-    upright = normal.z.is_exactly(1) and first.y.is_exactly(1) and contact.point.along is None
-    if upright:  # the tangents are y and -x
-        c = curve
-        return Symmetric(c.zz, c.yy, c.xx, -c.yz, -c.xz, c.xy)
-    found = outer_product(normal, curve.xx) + outer_product(first, curve.yy) + outer_product(second, curve.zz)
-    for a, b, c in ((normal, first, curve.xy), (normal, second, curve.xz), (first, second, curve.yz)):
-        mixed = outer_product(a + b, ONE) + _negative(outer_product(a, ONE)) + _negative(outer_product(b, ONE))
-        found = found + Symmetric(*(one * c for one in mixed))
-    return found
-
-
-def _negative(matrix: Symmetric) -> Symmetric:
-    return Symmetric(*(-one for one in matrix))
+def contact_wrench(contact: Contact, force: tuple[Scalar, ...]) -> Spatial:
+    """Return the wrench on the body of forces and moments in the contact's frame."""
+    parts = [NOTHING, NOTHING]
+    for k, one in enumerate(force):
+        parts[k // 3] = parts[k // 3] + contact.frame[k % 3] * one
+    wrench = wrench_at(contact.at, parts[0])
+    return wrench if contact.dim <= 3 else Spatial(wrench.linear, wrench.angular + parts[1])

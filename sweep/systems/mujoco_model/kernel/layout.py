@@ -27,6 +27,18 @@ UNKNOWN_FIELDS = (
     "geom_surfacevel",
     "geom_fluid",
 )
+Disabled = mujoco.mjtDisableBit
+ALLOWED_FLAGS = (  # the last ones change nothing of what the kernel simulates, or only where its solver starts
+    Disabled.mjDSBL_CLAMPCTRL,
+    Disabled.mjDSBL_EULERDAMP,
+    Disabled.mjDSBL_REFSAFE,
+    Disabled.mjDSBL_FILTERPARENT,
+    Disabled.mjDSBL_MIDPHASE,
+    Disabled.mjDSBL_NATIVECCD,
+    Disabled.mjDSBL_MULTICCD,
+    Disabled.mjDSBL_ISLAND,
+    Disabled.mjDSBL_WARMSTART,
+)
 FEW = 2  # bodies of a stack, at least
 
 
@@ -177,7 +189,7 @@ def refuse(what: str) -> InputError:
 
 
 def check_features(model: mujoco.MjModel) -> None:
-    """Raise `InputError`, naming the first feature of a model that the kernel does not simulate."""
+    """Raise `InputError`, naming all features of a model that the kernel does not simulate."""
     opt, jnt = model.opt, model.jnt_type
     on_joint = np.isin(model.actuator_trntype, [int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)])
     driven = jnt[model.actuator_trnid[:, 0]] if on_joint.all() and model.nu else np.zeros(0, int)
@@ -187,17 +199,10 @@ def check_features(model: mujoco.MjModel) -> None:
     first = model.jnt_dofadr[free[0]] if len(free) else 0
     of_base = slice(first, first + 6 * len(free))
     integrators = [int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)]
-    planes = [plane.geom for plane in find_planes(model)]
     moving = model.body_weldid[model.geom_bodyid] != 0
     things = [g for g in range(model.ngeom) if not moving[g] and model.geom_type[g] != PLANE]
     static = [g for g in things if any(may_touch(model, g, int(other)) for other in np.flatnonzero(moving))]
-    shaped = [
-        g
-        for g in np.flatnonzero(moving & np.isin(model.geom_type, SHAPES)).tolist()
-        if any(may_touch(model, g, plane) for plane in planes)
-    ]
-    dims = sorted({int(model.geom_condim[g]) for g in (*shaped, *planes)} - {1, 3}) if shaped else []
-    disabled = int(opt.disableflags) & ~int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
+    disabled = int(opt.disableflags) & ~sum(int(one) for one in ALLOWED_FLAGS)
     other = [name for name in UNKNOWN_FIELDS if np.any(getattr(model, name, 0))]
     wrong = {
         "ball joints": (jnt == BALL).any(),
@@ -220,13 +225,11 @@ def check_features(model: mujoco.MjModel) -> None:
         "gravity compensation": model.body_gravcomp.any(),
         "noslip iterations": opt.noslip_iterations,
         f"the integrator {mujoco.mjtIntegrator(int(opt.integrator)).name}": int(opt.integrator) not in integrators,
-        f"contact dimensions {dims}": len(dims),
         f"geom {model.geom(static[0]).name or static[0]}, which is no plane, as ground" if static else "": len(static),
         "disabled features of MuJoCo": disabled,
         "override of contacts or forward-inverse comparison": int(opt.enableflags)
         & ~int(mujoco.mjtEnableBit.mjENBL_ENERGY),
         f"{', '.join(other)}": len(other),
     }
-    for what, is_there in wrong.items():
-        if is_there:
-            raise refuse(what)
+    if found := [what for what, is_there in wrong.items() if is_there]:
+        raise refuse(", ".join(found))

@@ -5,7 +5,7 @@ a NumPy array (n,) in double precision, anything else an array of JAX, () or (n,
 operation in the program.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Union
 
 import jax
@@ -220,6 +220,11 @@ class Symmetric(NamedTuple):
 
 
 NO_MATRIX = Symmetric(*[ZERO] * 6)
+
+
+def as_symmetric(rows: Sequence[Vector]) -> Symmetric:
+    """Make a symmetric matrix of the rows of a matrix that is symmetric but for rounding."""
+    return Symmetric(rows[0].x, rows[1].y, rows[2].z, rows[1].x, rows[2].x, rows[2].y)
 
 
 def isotropic(value: Operand) -> Symmetric:

@@ -6,7 +6,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from sweep.systems.mujoco_model.kernel.constraints import contact_slope
+from sweep.systems.mujoco_model.kernel.constraints import contact_force
 from sweep.systems.mujoco_model.kernel.layout import BOX, SPHERE, Layout, find_stack, refuse
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
 from sweep.systems.mujoco_model.kernel.scalars import (
@@ -190,7 +190,7 @@ def _touch(layout: Layout, numbers: ModelNumbers, state: RobotState, result: Ste
         mine = contact.point.bodies == body
         if not (mine & contact.point.real).any():
             continue
-        force = contact_slope(contact, residual, problem.constraints.is_elliptic).force.x
+        force = contact_force(contact, residual, problem.constraints.is_elliptic)[0]
         at = contact.at
         if len(mine) > 1 and mine.sum() == 1:
             member = int(np.flatnonzero(mine)[0])

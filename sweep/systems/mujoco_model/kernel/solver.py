@@ -13,18 +13,20 @@ from jaxtyping import Array
 
 from sweep.systems.mujoco_model.kernel.constraints import (
     Constraints,
+    Curve,
+    contact_components,
+    contact_curve,
+    contact_force,
     contact_line,
-    contact_slope,
     contact_wrench,
     row_force,
-    world_curve,
 )
 from sweep.systems.mujoco_model.kernel.layout import Layout
 from sweep.systems.mujoco_model.kernel.scalars import (
+    NOTHING,
     ONE,
     ZERO,
     Scalar,
-    Symmetric,
     Vector,
     flatten_scalars,
     largest,
@@ -60,12 +62,15 @@ class Acceleration(NamedTuple):
 class Residuals(NamedTuple):
     """Residuals of all contacts and rows."""
 
-    contacts: tuple[Vector, ...]
+    contacts: tuple[tuple[Scalar, ...], ...]
     rows: tuple[Scalar, ...]
 
     def add_scaled(self, factor: Scalar, other: "Residuals") -> "Residuals":
         """Return self + factor other."""
-        contacts = tuple(a + b * factor for a, b in zip(self.contacts, other.contacts, strict=True))
+        contacts = tuple(
+            tuple(a + b * factor for a, b in zip(*pair, strict=True))
+            for pair in zip(self.contacts, other.contacts, strict=True)
+        )
         return Residuals(contacts, tuple(a + b * factor for a, b in zip(self.rows, other.rows, strict=True)))
 
 
@@ -128,11 +133,16 @@ class Problem(NamedTuple):
         contacts = []
         for one in self.constraints.contacts:
             moved = a.base if self.layout.has_free_base else STILL
-            at_point = moved.velocity_at(one.at)
+            at_point, turned = moved.velocity_at(one.at), moved.angular
             for joint in self.layout.moving_joints(one.point.stack):
-                at_point = at_point + self.smooth.motions[joint].velocity_at(one.at) * a.joints[joint]
-            given = Vector(*(direction.dot(at_point) for direction in one.frame))
-            contacts.append(given - one.wanted if wanted else given)
+                motion, rate = self.smooth.motions[joint], a.joints[joint]
+                at_point = at_point + motion.velocity_at(one.at) * rate
+                if one.dim > len(one.frame):
+                    turned = turned + motion.angular * rate
+            given = contact_components(one.frame, at_point, turned, one.dim)
+            if wanted:
+                given = tuple(x - y for x, y in zip(given, one.wanted, strict=True))
+            contacts.append(given)
         rows = [row.side * a.joints[row.joint] - (row.wanted if wanted else ZERO) for row in self.constraints.rows]
         return Residuals(tuple(contacts), tuple(rows))
 
@@ -141,7 +151,7 @@ class Problem(NamedTuple):
         base = [Total() for _ in range(6)]
         joints = {joint: Total() for joint in self.force.joints}
         for one, residual in zip(self.constraints.contacts, residuals.contacts, strict=True):
-            wrench = contact_wrench(one, contact_slope(one, residual, self.constraints.is_elliptic).force)
+            wrench = contact_wrench(one, contact_force(one, residual, self.constraints.is_elliptic))
             self._spread(wrench, one, base, joints)
         for row, residual in zip(self.constraints.rows, residuals.rows, strict=True):
             joints[row.joint].add(row.side * row_force(row, residual)[0], 1)
@@ -155,12 +165,12 @@ class Problem(NamedTuple):
         for joint in self.layout.moving_joints(contact.point.stack):
             joints[joint].add(self.smooth.motions[joint].dot(wrench), n if self.n(joint) == 1 else 1)
 
-    def solve(self, right: Acceleration, curves: list[Symmetric] | None, stiff: dict[Joint, Scalar]) -> Acceleration:
+    def solve(self, right: Acceleration, curves: list[Curve] | None, stiff: dict[Joint, Scalar]) -> Acceleration:
         """Solve one linear system of Newton's method, (M + Jᵀ C J + diag) x = right.
 
         Args:
             right: The right side.
-            curves: C of each contact in world axes; None for none.
+            curves: C of each contact; None for none.
             stiff: What is added to the diagonal, by joint.
         """
         joints, has_base = [*self.force.joints], self.layout.has_free_base
@@ -221,16 +231,23 @@ class Problem(NamedTuple):
             found[joint] = x
         return Acceleration(_spatial(x_base) if has_base else STILL, found)
 
-    def _add_contact(self, contact: Any, curve: Symmetric, corner: Any, side: Any, entries: Any) -> None:
+    def _add_contact(self, contact: Any, curve: Curve, corner: Any, side: Any, entries: Any) -> None:
         """Add Jᵀ C J of a row of contacts."""
         n, at, chain = len(contact.point.real), contact.at, self.layout.moving_joints(contact.point.stack)
-        moved = [self.smooth.motions[joint].velocity_at(at) for joint in chain]
-        pushed = [curve @ one for one in moved]
+        moved = [Spatial(one.velocity_at(at), one.angular) for one in (self.smooth.motions[joint] for joint in chain)]
+        pushed = [curve.push(one) for one in moved]
         if self.layout.has_free_base:
-            columns = [at.cross(row) for row in curve.rows]
+            rows, extra = curve.linear.rows, curve.mixed or [NOTHING] * 3
+            columns = [at.cross(row) + more for row, more in zip(rows, extra, strict=True)]
             mixed = [Vector(*(getattr(one, name) for one in columns)) for name in "xyz"]
             turned = [at.cross(row) for row in mixed]
-            for i, row in enumerate(curve.rows):
+            if curve.mixed is not None:
+                crossed = [at.cross(Vector(*(getattr(row, name) for row in curve.mixed))) for name in "xyz"]
+                turned = [
+                    row + Vector(*(getattr(one, name) for one in crossed)) + more
+                    for row, name, more in zip(turned, "xyz", curve.angular.rows, strict=True)
+                ]
+            for i, row in enumerate(rows):
                 for j in range(i + 1):
                     corner[i][j].add(row[j], n)
             for i in range(3):
@@ -240,12 +257,15 @@ class Problem(NamedTuple):
                     corner[3 + i][3 + j].add(turned[i][j], n)
         for joint, push in zip(chain, pushed, strict=True):
             m = n if self.n(joint) == 1 else 1
-            for total, x in zip(side[joint], (*push, *at.cross(push)), strict=False):
+            for total, x in zip(side[joint], (*push.linear, *(at.cross(push.linear) + push.angular)), strict=False):
                 total.add(x, m)
         for i, joint in enumerate(chain):
             for j in range(i + 1):
                 m = n if self.n(joint) == 1 else 1
-                entries[chain[j], joint].add(moved[j].dot(pushed[i]), m)
+                power = moved[j].linear.dot(pushed[i].linear)
+                if curve.mixed is not None:
+                    power = power + moved[j].angular.dot(pushed[i].angular)
+                entries[chain[j], joint].add(power, m)
 
     def start(self, warm: Acceleration) -> "Iterate":
         """Return the first iterate, at given accelerations."""
@@ -270,11 +290,10 @@ class Problem(NamedTuple):
     def descend(self, now: "Iterate") -> "Iterate":
         """Return the next iterate: Newton's direction, and a search for the step length of least cost."""
         is_elliptic = self.constraints.is_elliptic
-        slopes = [
-            contact_slope(one, residual, is_elliptic)
+        curves = [
+            contact_curve(one, residual, is_elliptic)
             for one, residual in zip(self.constraints.contacts, now.residuals.contacts, strict=True)
         ]
-        curves = [world_curve(one, slope.curve) for one, slope in zip(self.constraints.contacts, slopes, strict=True)]
         stiff: dict[Joint, Scalar] = {}
         for row, residual in zip(self.constraints.rows, now.residuals.rows, strict=True):
             stiff[row.joint] = stiff.get(row.joint, ZERO) + row_force(row, residual)[1]
@@ -306,14 +325,18 @@ class Problem(NamedTuple):
         like, constraints = slope_at_0.value, self.constraints
         flat = slope_at_0 * -float(ROUNDING * jnp.finfo(like.dtype).eps)
         turns = self._turning_points(residuals, changed)
+        lines = [
+            contact_line(*each, constraints.is_elliptic)
+            for each in zip(constraints.contacts, residuals.contacts, changed.contacts, strict=True)
+        ]
 
         def try_length(state: tuple[Any, ...]) -> tuple[Any, ...]:
             count, _, length, low, high = state[0], state[1], *(Scalar(x) for x in state[2:])
             first, second = Total(), Total()
-            for one, residual, change in zip(constraints.contacts, residuals.contacts, changed.contacts, strict=True):
-                a, b = contact_line(one, residual + change * length, change, constraints.is_elliptic)
-                first.add(a, len(one.point.real))
-                second.add(b, len(one.point.real))
+            for line in lines:
+                n, (a, b) = len(line.contact.point.real), line.slopes(length)
+                first.add(a, n)
+                second.add(b, n)
             for row, residual, change in zip(constraints.rows, residuals.rows, changed.rows, strict=True):
                 force, curve = row_force(row, residual + length * change)
                 n = self.n(row.joint)

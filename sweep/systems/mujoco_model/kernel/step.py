@@ -38,7 +38,7 @@ from sweep.systems.mujoco_model.kernel.solver import Acceleration, Iterate, Join
 
 IMPLICIT = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
 UNBALANCED = 0.01  # share of the forces that may be left over in a solved step, as for other engines
-UNCLAMPED = int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
+UNCLAMPED, EXPLICIT = (int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")) for name in ("CLAMPCTRL", "EULERDAMP"))
 
 
 class Drive(NamedTuple):
@@ -141,7 +141,7 @@ def compute_forces(
         passive = -(drag * rate)
         if numbers.is_used("jnt_stiffness", ids):
             passive = passive - numbers.get("jnt_stiffness", ids) * (angle - numbers.get("qpos_spring", places))
-        driven, soft = ZERO, drag
+        driven, soft = ZERO, drag if is_implicit or not model.opt.disableflags & EXPLICIT else ZERO
         for acting in zip(*(drives(model, int(j)) for j in ids), strict=True):
             those = np.array(acting)
             drive, gear, velocity_gain = _drive(numbers, those, angle, rate, ctrl)
