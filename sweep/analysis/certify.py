@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sweep.core.errors import InputError
 
@@ -99,12 +100,21 @@ def failure_upper_bound(failed: int, rows: int, confidence: float) -> float:
     return 1.0 if failed >= rows else float(betaincinv(failed + 1, rows - failed, confidence))
 
 
-def allowed_failures(rows: int, failures: float, confidence: float) -> int:
-    """Return the largest number of failures among `rows` that still certifies `failures`; -1 with too few rows."""
+def allowed_failures(rows: ArrayLike, failures: float, confidence: float) -> np.ndarray:
+    """Return the largest numbers of failures among `rows` that still certify `failures`; -1 with too few rows.
+
+    Args:
+        rows: Numbers of rows.
+        failures: Failure probability to certify, 0 to 1.
+        confidence: Confidence level, 0 to 1.
+
+    Returns:
+        Whole numbers of the shape of `rows`.
+    """
     from scipy.stats import binom
 
-    guess = int(binom.ppf(1 - confidence, rows, failures))
-    return next(k for k in range(guess, -2, -1) if k < 0 or failure_upper_bound(k, rows, confidence) <= failures)
+    guess = binom.ppf(1 - confidence, rows, failures)  # one too many, unless its law reaches the level exactly
+    return np.where(binom.cdf(guess, rows, failures) <= 1 - confidence, guess, guess - 1).astype(int)
 
 
 def fit_box(x: np.ndarray, failed: np.ndarray, least: float) -> Boxes:
@@ -221,7 +231,7 @@ def candidate_thresholds(
     inside = scores <= every[:, None]
     rows, bad = inside.sum(axis=1), (inside & failed).sum(axis=1)
     falling = np.round(fresh * rows / len(scores)).astype(int)
-    allowed = [allowed_failures(int(n), failures, confidence) for n in falling]
+    allowed = allowed_failures(falling, failures, confidence)
     power = binom.cdf(allowed, falling, (bad + 0.5) / (rows + 1.0))
     return every[int(np.argmax(power)) :]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from sweep.analysis import rare
+from sweep.analysis import power, rare
 from sweep.analysis.expectations import unmet_expectations
 from sweep.analysis.sample import drop_repeated_rollouts, pooled_rate
 from sweep.analysis.stats import cause_lines, success_rate
@@ -261,6 +261,8 @@ def describe_dry_run(job: runner.Job) -> str:
     if count := time_series.check_history_size(job.exp, job.table):
         kept, columns = min(job.exp.study.keep_rows, len(job.table)), ", ".join(job.exp.study.keep)
         text += f"\ntime series of {kept} rollouts ({columns}): about {4 * count / 2**20:.1f} MiB before compression"
+    if width := power.describe_expected_half_width(job.exp.study):
+        text += f"\n{width}"
     return f"{text}\n{axes_table(job.exp)}" if job.exp.study.axes and not job.exp.study.points else text
 
 
@@ -283,13 +285,13 @@ def duration_text(job: runner.Job, missing: pd.DataFrame) -> str:
 def seconds_per_rollout(folder: Path, job: runner.Job) -> float | None:
     """Wall time per rollout (s) in the last batch of `folder`; None unless scenario, engine and device are the same."""
     try:
-        stored, done = store.read_study(folder), store.current_parts(folder)
+        stored = store.read_study(folder)
         config, exp = stored["config"], job.exp
         same = (config["scenario"]["name"], config["engine"]["name"]) == (exp.scenario, exp.settings.name)
         same &= exp.system.device(exp.settings) in stored["devices"]
-        return float(store.read_part(folder, done[-1])["wall_s"].iloc[-1]) if done and same else None
     except (InputError, KeyError):  # damaged, or of an earlier layout
         return None
+    return store.last_seconds_per_rollout(folder) if same else None
 
 
 def axes_table(exp: Experiment) -> str:

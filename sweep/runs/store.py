@@ -295,6 +295,15 @@ def read_part(folder: Path, entry: ManifestEntry) -> pd.DataFrame:
     return read_table(folder, entry).to_pandas()
 
 
+def last_seconds_per_rollout(folder: Path) -> float | None:
+    """Return the wall time of a rollout (s) in the last batch of a folder; None where it is unknown."""
+    try:
+        done = current_parts(folder)
+        return float(read_part(folder, done[-1])["wall_s"].iloc[-1]) if done else None
+    except (InputError, KeyError):  # damaged, or of an earlier layout
+        return None
+
+
 def read_table(folder: Path, entry: ManifestEntry, columns: Sequence[str] | None = None) -> pa.Table:
     """Read a listed file as an Arrow table.
 
