@@ -15,7 +15,7 @@ ROBOT = ["study=walk_map", "study.axes.friction.num=4", "study.axes.step.num=3",
 OWN = ["study=grip", "model.duration=0.2"]
 DRAWN = {"robot": ("walk_tripod", "contact.friction"), "own": ("own", "model.body.trunk.mass")}
 SLOW = "run cluster=dask_local", "run engine=mjx", "tune"  # workers that take long to start, programs to compile
-ALONE = {"init", "list", "describe", "completion", "bench", "formula"}  # commands that have nothing to do with a study
+ALONE = {"init", "list", "describe", "completion", "bench", "formula", "power"}  # that need no study
 DRAWS = "scenario: {}\nstudy: {{design: {{num: 40}}, axes: {{x: {{path: {}, side: world, relative: 0.02}}}}}}\n"
 LIMIT = {"robot": "slip_max_m<0.02", "own": "goal=travelled_m > 0"}
 NOISE = {"robot": ["noise.position_noise=0.001"], "own": ["noise.white=0.001"]}

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import test_extending
+import test_printed_answers
 from fake_engine import FakeEngine
 
 from sweep.cli import main as cli
@@ -25,6 +26,8 @@ FOLLOWED = {
     ROOT / "docs/howto/run_a_learned_policy.md",
     ROOT / "docs/howto/evaluate_a_gymnasium_task.md",
     *(ROOT / f"docs/howto/{name}.md" for name in test_extending.SAID),
+    test_printed_answers.PROJECT,
+    *test_printed_answers.PAGES,
 }
 BLOCK = re.compile(r"(?:^    .*\n|^\n(?=    ))+", re.MULTILINE)
 FENCE = re.compile(r"```(\w*)\n(.*?)```", re.DOTALL)
@@ -107,7 +110,11 @@ def test_every_command_of_a_page_works(page, fake_engine, monkeypatch, tmp_path,
 @pytest.mark.parametrize(
     "page",
     # the files of the latter are the reader's: test_file_axes has a study of this kind
-    [p for p in PAGES if p.name not in ("own_model.md", "run_several_policies.md") and p.parent.name != "tutorials"],
+    [
+        p
+        for p in PAGES
+        if p.name not in ("own_model.md", "run_several_policies.md", "example_cart.md") and p.parent.name != "tutorials"
+    ],
     ids=lambda page: str(page.relative_to(ROOT)),
 )
 def test_every_study_of_a_page_loads_as_it_stands(page, monkeypatch, tmp_path):

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.ticker import NullFormatter
 
 from sweep.analysis import compare, power, sampling_units
 from sweep.analysis.intervals import clopper_pearson, wilson
@@ -183,7 +184,7 @@ def answer_from_pilot(args: argparse.Namespace, options: dict[str, Any]) -> Size
         return answer_pilot_rate(args, options["half_width"], exps[0], rows[0], seconds)
     if options["unpaired"] or options["correlation"]:
         raise InputError("--unpaired and --correlation are not allowed with --pilot, whose rows are paired")
-    return answer_pilot_difference(args, exps[0], compare.pair_rows(*rows), seconds)
+    return answer_pilot_difference(args, exps[0], compare.pair_rows(rows[0], rows[1]), seconds)
 
 
 def measured_seconds(folders: list[Path]) -> float | None:
@@ -302,5 +303,6 @@ def save_picture(answer: SizeAnswer, path: Path) -> None:
     ax.axhline(100 * answer.target, color="0.6", linewidth=0.6)
     ax.plot(answer.rollouts, 100 * answer.value(answer.size), "o", color="#D55E00")
     ax.set(xlabel="rollouts", ylabel=f"{answer.goal}, %", xscale="log")
+    ax.xaxis.set_minor_formatter(NullFormatter())
     ax.set_ylim(bottom=0)
     save_figure(figure, path)
