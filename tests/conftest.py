@@ -11,6 +11,7 @@ from small_study import STUDY, content
 
 import sweep.engines
 from sweep.backends import devices
+from sweep.cli import execution
 from sweep.cli.main import main
 from sweep.runs import batches
 
@@ -25,6 +26,21 @@ def double():
     """A module's tests in double precision."""
     with jax.enable_x64(True):
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def unrecorded():
+    """Studies that tests run in this process record no replays, which takes seconds each; yields what records them."""
+    with pytest.MonkeyPatch.context() as patch:
+        record = execution.record_study_replays
+        patch.setattr(execution, "record_study_replays", lambda *_: None)
+        yield record
+
+
+@pytest.fixture
+def recorded(unrecorded, monkeypatch):
+    """Studies of this test record replays, as they do for users."""
+    monkeypatch.setattr(execution, "record_study_replays", unrecorded)
 
 
 @pytest.fixture

@@ -12,7 +12,8 @@ import pandas as pd
 from sweep.runs import store
 from sweep.study.columns import TIMING_COLUMNS
 
-STUDY = ["study=walk_map", "study.axes.friction.num=8", "study.axes.step.num=7", "engine.width=8", "study.expect=[]"]
+STUDY = ["study=walk_map", "study.axes.friction.num=8", "study.axes.step.num=7", "engine.width=8", "study.expect=[]",
+         "study.replays=0"]  # fmt: skip
 BATCHES = 7
 FAKE = Path(__file__).with_name("fake_engine.py")
 

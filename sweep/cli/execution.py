@@ -15,7 +15,7 @@ from sweep.analysis.stats import cause_lines, success_rate
 from sweep.cli.exits import DONE, INVALID, UNEXPECTED
 from sweep.cli.run_progress import report_progress
 from sweep.config.experiment import Experiment, build_experiment, compose_values
-from sweep.core.errors import InputError
+from sweep.core.errors import Fault, InputError
 from sweep.core.progress import (
     format_compile_estimate,
     format_last_duration,
@@ -30,6 +30,7 @@ from sweep.runs import adaptive_rounds, axis_check, axis_effects, refine, runner
 from sweep.runs.batches import make_engine
 from sweep.runs.batches import make_nominal_batch as nominal_batch
 from sweep.runs.nominal_levels import FailingLevel, find_failing_levels
+from sweep.runs.results import Results
 from sweep.study.clusters import WorkerStatus, connect_lazily
 from sweep.study.study import check_expect, name_axes, parameter_columns, unit_of_column
 from sweep.systems import find_kind_by_keys
@@ -138,7 +139,42 @@ def execute_experiment(exp: Experiment, flags: RunFlags) -> int:
     if exp.study.is_adaptive and complete:
         print(rare.estimate_failure_probability(rows, exp))
     print(f"{len(rows)} of {size} planned rollouts are in {folder}")
+    if complete and exp.study.replays:
+        record_study_replays(exp, folder, rows)
     return expectation_exit_code(exp, rows, complete)
+
+
+def record_study_replays(exp: Experiment, folder: Path, rows: pd.DataFrame) -> None:
+    """Record replays of the most informative rollouts that have none yet, and print what they took.
+
+    A study whose replays cannot be recorded is complete all the same: the reason is printed.
+
+    Args:
+        exp: Experiment of the study.
+        folder: Its folder.
+        rows: All its rows, with the names of their axes.
+    """
+    if exp.cluster.is_remote:  # this machine may have no device of the workers' kind
+        print(f"sweep: no replays are recorded on a cluster: sweep report {folder} --replays 6", file=sys.stderr)
+        return
+    from sweep.report import recording  # imports Matplotlib, which no run waits for before its end
+
+    start = time.perf_counter()
+    sys.stdout.flush()  # the summary, before some seconds of simulation
+    chosen, copies = drop_repeated_rollouts(rows, exp)
+    results = Results(folder, store.read_study(folder), exp, chosen, None, len(rows), copies)
+
+    def words(done: int, total: int) -> str:
+        return f"{done} of {total} replays recorded; study.replays=0 records none"
+
+    try:
+        with store.lock_folder(folder), show_counts(words, 0, exp.study.replays) as report:
+            number = recording.record_replays(results, report)
+    except (InputError, Fault, MemoryError) as error:
+        print(f"sweep: no replays recorded: {error or 'not enough memory'}", file=sys.stderr)
+        return
+    if number:
+        print(f"{number} replays recorded in {time.perf_counter() - start:.1f} s (study.replays)", file=sys.stderr)
 
 
 def failing_levels(exp: Experiment) -> list[FailingLevel]:

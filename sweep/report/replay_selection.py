@@ -1,17 +1,18 @@
 """Choose the rows of a study that are worth a replay.
 
-In this order: representative rollouts, pairs across the boundary, extreme values of metrics, then rows far from all
-others.
+In this order: the nominal rollout, a typical success, one of each main cause, a pair across the boundary, one of each
+further cause, then by turns further pairs, extreme values of metrics, and rows far from all others.
 """
 
 from collections.abc import Iterator
-from itertools import chain, zip_longest
+from itertools import chain, islice, zip_longest
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from sweep.analysis.sample import sample_indices
+from sweep.core.outcomes import SUCCESS
 from sweep.report.figures import metrics_with_threshold_first
 from sweep.report.labels import column_unit, heading
 from sweep.report.representative import find_representatives
@@ -19,6 +20,7 @@ from sweep.report.tables import format_value
 from sweep.runs import audit
 from sweep.runs.results import Results
 
+MAIN_CAUSES = 2  # causes, the most frequent ones, that come before the boundary
 MIN_DURATION_S = 0.2  # s, of a rollout that there is something to see of
 MAX_SEARCHED_ROWS = 20_000  # rows that are searched for distant ones
 
@@ -34,12 +36,12 @@ def choose_replays(results: Results, number: int) -> pd.DataFrame:
         The rows, with the reason for each in the column `why`.
     """
     rows = results.rows
-    alike = [
-        (rows.index.get_loc(one.row.name), f"typical of {one.kind.replace('_', ' ')}")
-        for one in find_representatives(results)
-    ]
-    turns = zip_longest(boundary_rows(results), extreme_rows(results), spread_rows(results))
-    every = chain(alike, *([one for one in turn if one] for turn in turns))
+    kinds = sorted(find_representatives(results), key=lambda one: (one.kind != SUCCESS, -one.number))
+    alike = [(rows.index.get_loc(one.row.name), f"typical of {one.kind.replace('_', ' ')}") for one in kinds]
+    pairs = boundary_rows(results)
+    first = [*nominal_rows(results), *alike[: 1 + MAIN_CAUSES], *islice(pairs, 2), *alike[1 + MAIN_CAUSES :]]
+    turns = zip_longest(pairs, extreme_rows(results), spread_rows(results))
+    every = chain(first, *([one for one in turn if one] for turn in turns))
     long = (
         rows["duration_s"].to_numpy(dtype=float) >= MIN_DURATION_S if "duration_s" in rows else np.ones(len(rows), bool)
     )
@@ -50,6 +52,24 @@ def choose_replays(results: Results, number: int) -> pd.DataFrame:
         if long[index] and index not in found:
             found[index] = why
     return rows.iloc[list(found)].assign(why=list(found.values()))
+
+
+def nominal_rows(results: Results) -> Iterator[tuple[int, str]]:
+    """Choose the row whose varied parameters are nearest to their nominal values; none where these have no nominal
+    value."""
+    columns = [c for c in (*results.categorical_columns, *results.numeric_columns) if not c.startswith("axis.")]
+    if not columns or results.rows.empty:
+        return
+    away = np.zeros(len(results.rows))
+    for column in columns:
+        values, nominal = results.rows[column], results.exp.system.nominal(column, results.exp.settings)
+        if column in results.numeric_columns:
+            numbers = values.to_numpy(dtype=float)
+            away += ((numbers - float(nominal)) / np.ptp(numbers)) ** 2
+        else:
+            away += (values.astype(str) != str(nominal)).to_numpy()
+    nearest = int(np.argmin(away))
+    yield nearest, "nominal parameters" if away[nearest] == 0 else "nearest to the nominal parameters"
 
 
 def boundary_rows(results: Results) -> Iterator[tuple[int, str]]:

@@ -41,8 +41,8 @@ from sweep.study.study import Logger, make_points, name_axes
 # follow may not change, and of a design only settings that let it grow.
 MUTABLE_KEYS = ("study.axes.", "study.points", "study.where",
                 "study.replicates", "study.resolution", "study.level", "study.budget", "study.audit",
-                "study.invalid_max", "study.expect", "study.theory", "scenario.expect", "outcome", "cluster",
-                "out")  # fmt: skip
+                "study.invalid_max", "study.replays", "study.expect", "study.theory", "scenario.expect", "outcome",
+                "cluster", "out")  # fmt: skip
 PROGRESS_COLUMNS = ["outcome", "wall_s"]
 ProgressCallback = Callable[[pd.DataFrame], None]  # receives these columns of every finished batch
 

@@ -73,6 +73,7 @@ class _PlainSettings:
     keep_rate: float = 10.0  # samples of the columns `keep` in a simulated second
     keep_rows: int = count(1000, at_least=1)  # of the plan, from its first, whose histories are kept
     invalid_max: float = 0.01  # largest tolerated share of invalid rows
+    replays: int = count(6)  # of the most informative rollouts, recorded when the study is complete; 0: none
 
 
 @dataclass(frozen=True)

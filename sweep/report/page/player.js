@@ -71,7 +71,7 @@ export function makePlayer(app) {
 
   if (!replays.length) {
     panel.classList.add("empty");
-    note.textContent = `No rollout has a replay yet: sweep report ${clipName(table.about.folder)} --replays 60`;
+    note.textContent = `No rollout has a replay yet. This adds some: sweep report ${clipName(table.about.folder)} --replays 6`;
     return { openRow: () => {}, draw: () => {}, time: () => null };
   }
   const histories = historyView(app, (at) => {
@@ -412,9 +412,11 @@ export function makePlayer(app) {
       event.preventDefault();
     });
   }
-  const typical = replays.findIndex(({ why }) => why === "typical of success");
+  const typical = ["typical of success", "nominal parameters"]
+    .map((reason) => replays.findIndex(({ why }) => why === reason))
+    .find((number) => number >= 0);
   const { open: wanted } = table.about;
-  void openReel(0, wanted ? 0 : Math.max(0, typical)).then(async (opened) => {
+  void openReel(0, wanted ? 0 : (typical ?? 0)).then(async (opened) => {
     if (!opened) return;
     if (wanted > 1) await openReel(1, 1);
     if (wanted && !matchMedia("(prefers-reduced-motion: reduce)").matches) start();
