@@ -9,8 +9,6 @@ from sweep.analysis.sample import sample_indices
 from sweep.report import replay_selection, replays
 from sweep.runs.results import Results
 
-MAX_SEARCHED_ROWS = 20_000  # rows that the choice looks at, drawn at random from larger studies
-
 
 def choose_recorded_rows(results: Results) -> pd.DataFrame:
     """Choose the rows of which a run records replays, laid out as a batch of their own.
@@ -18,7 +16,8 @@ def choose_recorded_rows(results: Results) -> pd.DataFrame:
     The batch is as narrow as possible, so that recording takes no longer than a few rollouts. Its rollouts may differ
     from the stored rows in the last bits; the page says how many of a replay's metrics are equal.
     """
-    every = results.rows.iloc[sample_indices(len(results.rows), min(len(results.rows), MAX_SEARCHED_ROWS))]
+    number = min(len(results.rows), replay_selection.MAX_SEARCHED_ROWS)
+    every = results.rows.iloc[sample_indices(len(results.rows), number)]
     rows = replay_selection.choose_replays(replace(results, rows=every), results.exp.study.replays)
     groups = rows.groupby("group")["group"]
     return rows.assign(width=groups.transform("size"), slot=groups.cumcount())

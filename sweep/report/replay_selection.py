@@ -22,7 +22,7 @@ from sweep.runs.results import Results
 
 MAIN_CAUSES = 2  # causes, the most frequent ones, that come before the boundary
 MIN_DURATION_S = 0.2  # s, of a rollout that there is something to see of
-MAX_SEARCHED_ROWS = 20_000  # rows that are searched for distant ones
+MAX_SEARCHED_ROWS = 20_000  # rows that a choice looks at, drawn at random from larger studies
 
 
 def choose_replays(results: Results, number: int) -> pd.DataFrame:
