@@ -293,7 +293,7 @@ def policy_file_page() -> str:
                for name, about in policy_spec.PRESETS.items())  # fmt: skip
     return join_parts(
         "# Policy file",
-        "`walk.policy.yaml` beside `walk.onnx` says how a learned policy was trained. "
+        "`walk.policy.yaml` beside `walk.onnx`, `walk.pt` or `walk.pt2` says how a learned policy was trained. "
         "[Run a learned policy](../howto/run_a_learned_policy.md) shows how to write one. A key of the file wins over "
         "the network's metadata, and these over the preset.",
         "## Keys",

@@ -56,6 +56,7 @@ FILES_BELOW_RUNS = {
     "sweep.systems.mujoco_model.schedules",
     "sweep.systems.mujoco_model.learned_policy",
     "sweep.systems.mujoco_model.onnx_network",
+    "sweep.systems.mujoco_model.torch_network",
     "sweep.core.arguments",
     "sweep.core.plot_style",
     "sweep.core.files",

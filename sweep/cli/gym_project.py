@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from sweep.core.errors import InputError, require_choice
-from sweep.systems.mujoco_model import files, onnx_network
+from sweep.systems.mujoco_model import files
 
 TASKS = {  # that give a reward for the forward speed of their root: names of the positions that health is judged by
     "Ant-v5": {"_healthy_z_range": 2},
@@ -107,8 +107,8 @@ def project_files(task: str, policy: Path | None) -> dict[str, bytes]:
         InputError: gymnasium is not installed, the task is not supported, or the policy is no network.
     """
     require_choice(task, TASKS, f"--gym {task}")
-    if policy and (not policy.is_file() or policy.suffix != files.ONNX_SUFFIX):
-        raise InputError(f"--policy {policy} is not allowed: a network in a file .onnx")
+    if policy and (not policy.is_file() or policy.suffix not in files.NETWORK_SUFFIXES):
+        raise InputError(f"--policy {policy} is not allowed: a network in a file {', '.join(files.NETWORK_SUFFIXES)}")
     try:
         import gymnasium
 
@@ -136,7 +136,7 @@ def project_files(task: str, policy: Path | None) -> dict[str, bytes]:
     )
     sensors = [f'    <jointactuatorfrc name="action_{k}" joint="{joint}"/>' for k, joint in enumerate(joints)]
     controller = policy.name if policy else "task:policy"
-    found = {} if policy is None else {one.name: one.read_bytes() for one in onnx_network.network_files(policy)}
+    found = {} if policy is None else {one.name: one.read_bytes() for one in files.list_network_files(policy)}
     body = model.body(1)
     return found | {
         source.name: source.read_bytes(),

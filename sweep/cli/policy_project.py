@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from sweep.core.errors import InputError, require_choice
-from sweep.systems.mujoco_model import files, onnx_network
+from sweep.systems.mujoco_model import files
 from sweep.systems.mujoco_model.learned_policy import spec_file
 from sweep.systems.mujoco_model.policy_spec import PRESETS
 
@@ -53,9 +53,8 @@ def project_files(policy: Path, mjcf: Path, preset: str) -> dict[str, bytes]:
     for flag, file in (("policy", policy), ("mjcf", mjcf)):
         if not file.is_file():
             raise InputError(f"--{flag} {file} is not a file")
-    files.refuse_torch(f"--policy {policy}", str(policy))
-    if policy.suffix != files.ONNX_SUFFIX:
-        raise InputError(f"--policy {policy} is not allowed: a network in a file .onnx")
+    if policy.suffix not in files.NETWORK_SUFFIXES:
+        raise InputError(f"--policy {policy} is not allowed: a network in a file {', '.join(files.NETWORK_SUFFIXES)}")
     mjcf = mjcf.resolve()
     model, folder = files.load_model(str(mjcf)), mjcf.parent
     found: dict[str, bytes] = {}
@@ -63,7 +62,7 @@ def project_files(policy: Path, mjcf: Path, preset: str) -> dict[str, bytes]:
         if not file.resolve().is_relative_to(folder):
             raise InputError(f"--mjcf {mjcf.name} refers to {file}, which is not in the model's folder: copy it there")
         found[str(file.resolve().relative_to(folder))] = file.read_bytes()
-    found |= {file.name: file.read_bytes() for file in onnx_network.network_files(policy)}
+    found |= {file.name: file.read_bytes() for file in files.list_network_files(policy)}
     beside = spec_file(policy)
     specification = (
         beside.read_bytes()

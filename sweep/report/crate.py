@@ -31,7 +31,8 @@ STUDY_FOLDER, PROJECT_FOLDER = (
     "project",
 )  # folders of the crate: a study's again, and what its system is read from
 PICTURE_FILES = ("report.html", "map.png", "map.svg", "draws.png", "draws.svg")  # where the study's folder has them
-CODE_SUFFIXES = (*all_suffixes(), ".onnx")  # ends of files that can be imported, or are evaluated as networks
+# ends of files that can be imported, or are evaluated as networks
+CODE_SUFFIXES = (*all_suffixes(), ".onnx", ".pt", ".pth", ".jit", ".pt2")
 ENCRYPTED_FLAG = 1  # bit of a ZIP entry's flags
 # an archive may unpack to SMALL bytes; to more only up to DENSEST times its size, and never beyond LARGEST
 ALWAYS_ALLOWED_BYTES, MAX_UNPACKED_BYTES, MAX_COMPRESSION_RATIO, MAX_FILES = 100 * 2**20, 64 * 2**30, 100, 100_000

@@ -25,12 +25,14 @@ from sweep.backends.binary import model_bytes
 from sweep.core import project
 from sweep.core.errors import USER_CODE_ERRORS, InputError, format_user_exception, suggest
 from sweep.core.user_code import describe_user_error, report_slow_call, run_user_code
-from sweep.systems.mujoco_model import learned_policy, onnx_network, policy_spec
+from sweep.systems.mujoco_model import learned_policy, onnx_network, policy_spec, torch_network
 from sweep.systems.mujoco_model.actuation import JointControl
+from sweep.systems.mujoco_model.onnx_network import Network
 from sweep.systems.mujoco_model.terrain import TerrainConfig, check_level, place_in_model
+from sweep.systems.mujoco_model.torch_network import TORCH_SUFFIXES
 
 ONNX_SUFFIX, BINARY_SUFFIX, PACKAGE_PREFIX = ".onnx", ".mjb", "package://"
-TORCH = (".pt", ".pth", ".pt2", ".jit")  # networks of PyTorch
+NETWORK_SUFFIXES = (ONNX_SUFFIX, *TORCH_SUFFIXES)
 ASSET_FOLDER_OPTIONS = ("meshdir", "texturedir", "assetdir")  # of a model's files, as its compiler's options name them
 MODULE_MEMBERS = {  # what a module may say beside its functions
     "PARAMETERS": (Mapping, "numbers by name"),
@@ -255,9 +257,8 @@ def load_controller(name: str, model: mujoco.MjModel, keyframe: int, period: flo
     Raises:
         InputError: There is none, or it does not fit the model.
     """
-    if name.endswith(ONNX_SUFFIX):
+    if name.endswith(NETWORK_SUFFIXES):
         return _load_network(name, model, keyframe, period)
-    refuse_torch(f"model.controller = {name}", name)
     module_name, sign, function = name.partition(":")
     if not (sign and module_name and function):
         such = "a module and its function, such as my.walk:policy, or a network, such as walk.onnx"
@@ -282,29 +283,15 @@ def load_controller(name: str, model: mujoco.MjModel, keyframe: int, period: flo
     return LoadedController(policy, files, _digest(files), batched, begin, parameters, believes, **more)
 
 
-def refuse_torch(error_prefix: str, name: str) -> None:
-    """Raise `InputError` for a file of PyTorch, and say how to make a network of it.
-
-    Args:
-        error_prefix: What the message begins with.
-        name: Name of the file.
-    """
-    if name.endswith(TORCH):
-        new = f"{name.rpartition('.')[0]}{ONNX_SUFFIX}"
-        how = f"torch.onnx.export(policy, (observation,), '{new}') writes a network that is"
-        raise InputError(f"{error_prefix} is not allowed: {how}")
-
-
 def controller_files(name: str) -> list[Path]:
     """List the files of a controller, whatever model it is for. Raises `InputError`."""
-    refuse_torch(f"model.controller = {name}", name)
-    if not name.endswith(ONNX_SUFFIX):
+    if not name.endswith(NETWORK_SUFFIXES):
         module = _module(name, name.partition(":")[0])
         named = [str(file) for file in getattr(module, "FILES", ())]
         folder = code_folder(Path(str(module.__file__)), named)
         return [*project.source_files(module), *(folder / file for file in named)]
-    file = require_file("controller", name, ONNX_SUFFIX)
-    found = [*onnx_network.network_files(file)]
+    file = _require_network(name)
+    found = list_network_files(file)
     found += [told] if (told := learned_policy.spec_file(file)).is_file() else []
     if file.with_suffix(".py").is_file():
         found += project.source_files(_module(name, ".".join(Path(name).with_suffix("").parts)))
@@ -324,8 +311,8 @@ def require_inside_project(path: str, name: str) -> None:
 
 def _load_network(name: str, model: mujoco.MjModel, keyframe: int, period: float) -> LoadedController:
     """Load a network, which maps the observation to controls, or is as its specification says. Raises `InputError`."""
-    file = require_file("controller", name, ONNX_SUFFIX)
-    network, files, learned = onnx_network.read_network(name, file), onnx_network.network_files(file), None
+    file = _require_network(name)
+    network, files, learned = _read_network(name, file), list_network_files(file), None
     if spec := read_policy_spec(name):
         told = learned_policy.spec_file(file)
         files = [*files, told]
@@ -347,10 +334,24 @@ def _load_network(name: str, model: mujoco.MjModel, keyframe: int, period: float
 
 def read_policy_spec(name: str) -> policy_spec.PolicySpec | None:
     """Read the specification beside a network, by the controller's name; None without one. Raises `InputError`."""
-    if not name.endswith(ONNX_SUFFIX):
+    if not name.endswith(NETWORK_SUFFIXES):
         return None
-    told = learned_policy.spec_file(file := require_file("controller", name, ONNX_SUFFIX))
-    return learned_policy.read_spec(told, onnx_network.read_network(name, file).metadata) if told.is_file() else None
+    told = learned_policy.spec_file(file := _require_network(name))
+    return learned_policy.read_spec(told, _read_network(name, file).metadata) if told.is_file() else None
+
+
+def _require_network(name: str) -> Path:
+    return require_file("controller", name, Path(name).suffix)
+
+
+def _read_network(name: str, file: Path) -> Network:
+    read = torch_network.read_torch_network if name.endswith(TORCH_SUFFIXES) else onnx_network.read_network
+    return read(name, file)
+
+
+def list_network_files(file: Path) -> list[Path]:
+    """List the file of a network and those of its weights."""
+    return [file] if file.name.endswith(TORCH_SUFFIXES) else onnx_network.network_files(file)
 
 
 def _beside(name: str, module: Any) -> dict[str, Any]:

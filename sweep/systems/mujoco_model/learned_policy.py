@@ -411,9 +411,9 @@ def _fit_distribution(
 
 
 def _recurrent_shape(network: Network, one: RecurrentSpec) -> tuple[int, ...]:
-    shape = network.input_shape(one.input)
+    shape = one.shape or network.input_shape(one.input)
     if -1 in shape:
-        raise InputError(f"{network.name}: recurrent input {one.input} has no fixed size")
+        raise InputError(f"{network.name}: recurrent input {one.input} has no fixed size: give its sizes (key shape)")
     return shape
 
 

@@ -26,7 +26,7 @@ RANDOM_OPERATOR_PREFIXES = (
 
 
 class Network(NamedTuple):
-    """A neural network read from an ONNX file."""
+    """A neural network read from a file."""
 
     name: str  # as messages call it
     inputs: Mapping[str, ArrayShape]
@@ -58,7 +58,7 @@ def read_network(name: str, file: Path) -> Network:
 
 
 def network_files(file: Path) -> list[Path]:
-    """List the file of a network and the files of its weights, which are named after it."""
+    """List the file of an ONNX network and the files of its weights, which are named after it."""
     return [one for one in sorted(file.parent.glob(f"{file.name}*")) if one.is_file()]
 
 
@@ -75,9 +75,25 @@ def _read(name: str, file: Path, changed: int) -> Network:
     except Exception as error:  # protobuf has a class of its own for each kind of fault
         reason = "it has no nodes" if isinstance(error, IndexError) else " ".join(str(error).split())
         raise InputError(f"{error_prefix} is not a readable network: {reason}") from None
-    graph = model.graph
+    return make_network(name, model, file.parent)
+
+
+def make_network(name: str, model: Any, folder: Path) -> Network:
+    """Make a network from an ONNX model.
+
+    Args:
+        name: The name that messages give.
+        model: The model, as the package `onnx` has it.
+        folder: The folder of weights that are not in the model.
+
+    Raises:
+        InputError: The network has an operator that is not supported.
+    """
+    import onnx
+
+    error_prefix, graph = f"model.controller = {name}", model.graph
     opset = max((one.version for one in model.opset_import if one.domain in ("", "ai.onnx")), default=1)
-    constants = {one.name: _as_constant(onnx.numpy_helper.to_array(one, str(file.parent))) for one in graph.initializer}
+    constants = {one.name: _as_constant(onnx.numpy_helper.to_array(one, str(folder))) for one in graph.initializer}
     nodes = []
     for node in graph.node:
         attributes = {one.name: _attribute(one) for one in node.attribute}

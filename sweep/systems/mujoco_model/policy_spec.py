@@ -125,6 +125,8 @@ class RecurrentSpec:
     input: str  # name of the network's input
     output: str  # name of the network's output
     start: float = 0.0  # value in the first tick
+    # sizes of the input for one rollout, such as [1, 1, 256]; needed where the network does not say them (TorchScript)
+    shape: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -353,6 +355,10 @@ def _checked(one: Any, value: Any, error_prefix: str) -> Any:
             if numbers is None or not all(type(v) in (int, float) and np.isfinite(v) for v in numbers):
                 raise wrong("numbers")
             return tuple(map(float, numbers)) if isinstance(value, list | tuple) else float(value)
+        case t if t == tuple[int, ...]:
+            if not isinstance(value, list | tuple) or not all(type(v) is int and v >= 1 for v in value):
+                raise wrong("whole numbers from 1 on")
+            return tuple(value)
         case t if t == tuple[str, ...]:
             if not isinstance(value, list | tuple) or not all(isinstance(v, str) for v in value):
                 raise wrong("a list of names")
