@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 import yaml
 from onnx.reference import ReferenceEvaluator
-from robots import HOME, save_lstm, save_perceptron, write_project
+from robots import HOME, save_lstm, save_perceptron, save_trot, write_project
 from small_study import one_line
 
 from sweep.analysis import first_differences
@@ -96,18 +96,18 @@ class PlainLoop:
             mujoco.mj_step(self.model, self.data)
 
 
-def make_engine(engine):
-    """The engine of the nominal rollout, in double precision, and its batch."""
-    exp = compose(["study=one", f"engine={engine}", "engine.precision=float64"])
+def make_engine(engine, precision="float64"):
+    """The engine of the nominal rollout and its batch."""
+    exp = compose(["study=one", f"engine={engine}", f"engine.precision={precision}"])
     rows = select_points(exp)
     rows = batches.assign_batches(exp, pd.DataFrame(), rows).assign(width=1)
     task = batches.make_batch(exp, rows)
     return exp.system.make_engine(replace(task.settings, cross_check=False), task.world, task.belief, None), task
 
 
-def simulate(engine):
-    """Positions (ticks, nq) of the nominal rollout on an engine, in double precision."""
-    made, task = make_engine(engine)
+def simulate(engine, precision="float64"):
+    """Positions (ticks, nq) of the nominal rollout on an engine."""
+    made, task = make_engine(engine, precision)
     return made.trace(task.world, task.belief, task.streams, 0).qpos
 
 
@@ -117,10 +117,19 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("engine", ["native", pytest.param("mjx", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "engine", ["native", *(pytest.param(one, marks=pytest.mark.slow) for one in ("mjx", "kernel"))]
+)
 @pytest.mark.parametrize("shape", ["joystick", "gait", "lstm"])
 def test_a_policy_runs_from_its_files_as_in_a_plain_loop(here, shape, engine):
     compare_with_plain_loop(here, shape, engine)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["mjx", "kernel"])
+@pytest.mark.parametrize("shape", ["joystick", "gait", "lstm"])
+def test_single_precision_stays_within_5_mm_of_a_plain_loop(here, shape, engine):
+    compare_with_plain_loop(here, shape, engine, precision="float32", atol=5e-3)
 
 
 def test_a_recurrent_policy_runs_on_mjx_as_in_a_plain_loop(here):
@@ -128,23 +137,32 @@ def test_a_recurrent_policy_runs_on_mjx_as_in_a_plain_loop(here):
     compare_with_plain_loop(here, "lstm", "mjx", legs=1)
 
 
-def compare_with_plain_loop(folder, shape, engine, legs=4):
+def save_shape(shape, legs=4):
+    """Save a network of the shape as walk.onnx."""
+    if shape == "lstm":
+        save_lstm("walk.onnx", 6 + 9 * legs, 16, 3 * legs)
+    elif shape == "gait":
+        save_perceptron("walk.onnx", (73, 64, 12), 0.5)
+    else:
+        save_trot("walk.onnx")
+
+
+def compare_with_plain_loop(folder, shape, engine, legs=4, precision="float64", atol=1e-5):
     specification = {"joystick": JOYSTICK, "gait": GAIT, "lstm": LSTM}[shape]
     if legs == 1:
         specification = re.sub(r"joints: .*", "joints: [lf_roll, lf_hip, lf_knee]", specification)
     write_project(folder, specification, motors=shape == "lstm", legs=legs)
+    save_shape(shape, legs)
     if shape == "lstm":
-        save_lstm("walk.onnx", 6 + 9 * legs, 16, 3 * legs)
         network = ReferenceEvaluator("walk.onnx")
     else:
-        save_perceptron("walk.onnx", (48, 128, 64, 12) if shape == "joystick" else (73, 64, 12), 0.5)
         network = onnxruntime.InferenceSession("walk.onnx", providers=["CPUExecutionProvider"])
     plain, places = PlainLoop(), []
     for _ in range(50):
         getattr(plain, shape)(network)
         places.append(plain.data.qpos.copy())
     assert np.abs(np.diff(places, axis=0)[:, 7:]).max() > 0.02  # it moves
-    np.testing.assert_allclose(simulate(engine), places, atol=1e-5)
+    np.testing.assert_allclose(simulate(engine, precision), places, atol=atol, rtol=0)
 
 
 STILL = "observation: [{term: constant, values: [1.0]}]\ncommands: {velocity_x: 0.0}\n"
@@ -309,14 +327,13 @@ def test_the_page_as_it_stands(here, monkeypatch):
 
 @pytest.mark.parametrize(("words", "line"), [
     (["--policy", "walk.onnx"], "--policy and --mjcf are wanted together"),
-    (["--policy", "walk.pt", "--mjcf", "robot.xml"], "torch.onnx.export(policy, (observation,), 'walk.onnx')"),
+    (["--policy", "robot.xml", "--mjcf", "robot.xml"], "--policy robot.xml is not allowed: a network in a file .onnx"),
     (["--policy", "run.onnx", "--mjcf", "robot.xml"], "--policy run.onnx is not a file"),
     (["--policy", "walk.onnx", "--mjcf", "robot.xml", "--preset", "isaacgym"], "--preset isaacgym is unknown"),
 ])  # fmt: skip
 def test_a_project_that_cannot_be_made_is_one_line(here, capsys, words, line):
     write_project(here, JOYSTICK)
     save_perceptron("walk.onnx", (48, 12))
-    Path("walk.pt").touch()
     assert main(["init", *words, "made"]) == 2
     one_line(capsys.readouterr().err, line)
     assert not Path("made").exists()
