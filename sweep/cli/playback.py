@@ -110,9 +110,7 @@ def simulate_configuration(overrides: list[str], beside: list[str]) -> tuple[Res
         if found is None:
             raise InputError(f"{one.scenario} cannot be shown")
         row, trace, labels = found
-        row = pd.concat(
-            [row, pd.Series({**labels, **trace.metrics, "run_id": one.system.run_id(one.settings), "wall_s": 0.0})]
-        )
+        row = pd.concat([row, pd.Series({**labels, **trace.metrics, "wall_s": 0.0})])
         if not len(trace.time):
             raise InputError(f"{one.scenario} ends at once: {row['cause']}")
         stages[str(len(rows))] = list(trace.stages)

@@ -70,7 +70,7 @@ def simulate_again(
         rate: frames a second.
 
     Yields:
-        Row, recorded rollout, and the labels that it gets here.
+        Row, recorded rollout, and the labels and `run_id` that it gets here.
     """
     devices.configure_jax()  # the CPU counts as several devices from then on
     exp = batches.with_delay_buffer(exp, planned)
@@ -79,7 +79,7 @@ def simulate_again(
         order[part["slot"]] = np.arange(len(part))
         full = part.iloc[order]
         task, start = batches.make_batch(exp, full), batches.make_nominal_batch(exp, full, len(full))
-        engine = batches.make_engine(exp, start)
+        engine, run_id = batches.make_engine(exp, start), exp.system.run_id(task.settings)
         every = max(1, round(1 / rate / task.settings.control_period))
         traces = engine.traces(task.world, task.belief, task.streams, every)
         for _, row in part.iterrows():
@@ -87,7 +87,8 @@ def simulate_again(
             if isinstance(trace, MissingTrace):
                 print(f"sweep: no replay of {row['point_id']}: {trace.reason}", file=sys.stderr)
                 continue
-            yield row, trace, judge_rollout(exp.system, trace.metrics, exp.thresholds, engine.stages)
+            labels = judge_rollout(exp.system, trace.metrics, exp.thresholds, engine.stages)
+            yield row, trace, {**labels, "run_id": run_id}
 
 
 def pack_batches(rows: pd.DataFrame, widest: int) -> pd.DataFrame:

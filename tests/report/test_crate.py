@@ -14,6 +14,7 @@ from conftest import simulated
 from fake_engine import FakeEngine
 from small_study import one_line
 
+from sweep.backends import run_id
 from sweep.cli.main import main
 from sweep.runs import store
 
@@ -118,10 +119,13 @@ def test_rows_of_a_crate_are_simulated_again(study, fake_engine, tmp_path, capsy
     assert "5 rollouts simulated again: 5 equal to the last bit, 0 within 0.001" in capsys.readouterr().out
     run = FakeEngine.run
 
-    def elsewhere(self, world, belief, streams):  # a machine that rounds otherwise, and sees one of them fall
+    def rounded(self, world, belief, streams):  # a machine that rounds otherwise
         figures = run(self, world, belief, streams)
-        return figures | {"slip_max_m": figures["slip_max_m"] * (1 + 1e-6),
-                          "tilt_max_deg": figures["tilt_max_deg"] + 50 * (figures["slip_max_m"] > 0.01)}  # fmt: skip
+        return figures | {"slip_max_m": figures["slip_max_m"] * (1 + 1e-9)}
+
+    def elsewhere(self, world, belief, streams):  # and sees one of them fall
+        figures = rounded(self, world, belief, streams)
+        return figures | {"tilt_max_deg": figures["tilt_max_deg"] + 50 * (figures["slip_max_m"] > 0.01)}
 
     monkeypatch.setattr(FakeEngine, "run", lambda *args: run(*args) | {"energy_j": run(*args)["energy_j"] + 5})
     for command in (["reproduce", "crate.zip", "--rows", "3"], ["verify", str(study), "--simulate", "3"]):
@@ -133,6 +137,18 @@ def test_rows_of_a_crate_are_simulated_again(study, fake_engine, tmp_path, capsy
     assert main(["verify", str(study), "--simulate", "3"]) == 0
     assert "3 equal to the last bit" in capsys.readouterr().out
     assert main(["verify", str(study), "--simulate", "0"]) == 2
+    monkeypatch.setattr(FakeEngine, "run", rounded)
+    for command in (["reproduce", "crate.zip", "--rows", "3"], ["verify", str(study), "--simulate", "3"]):
+        assert main(command) == 4  # rows of one `run_id` are equal to the last bit
+        told = capsys.readouterr().out
+        assert "0 equal to the last bit, 0 within 0.001 in every metric, 3 not" in told
+        assert told.count("slip_max_m 0.") == 3
+    monkeypatch.setattr(run_id, "describe_device", lambda settings: "another processor")
+    for command in (["reproduce", "crate.zip", "--rows", "3"], ["verify", str(study), "--simulate", "3"]):
+        assert main(command) == 0
+        told = capsys.readouterr().out
+        assert "0 equal to the last bit, 3 within 0.001 in every metric, 0 not" in told
+        assert "3 were simulated before with other code" in told
     monkeypatch.setattr(FakeEngine, "run", elsewhere)
     assert main(["reproduce", "crate.zip", "--rows", "12"]) == 4
     told = capsys.readouterr().out

@@ -20,7 +20,8 @@ def add_arguments(parser: Arguments) -> None:
     parser.add_argument("--trust", action="store_true", help="allow code of the crate to run, such as its controller")
     parser.add_argument("--rows", type=int, default=20, help="number of rows, drawn at random (20)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the random choice (0)")
-    parser.add_argument("--tolerance", type=float, default=1e-3, help="relative tolerance of metrics (0.001)")
+    other = "relative tolerance of metrics in rows of other machines or versions (0.001)"
+    parser.add_argument("--tolerance", type=float, default=1e-3, help=other)
 
 
 def run(args: argparse.Namespace) -> int:
