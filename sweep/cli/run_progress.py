@@ -71,7 +71,8 @@ def report_progress(
 ) -> Iterator[runner.ProgressCallback]:
     """Show progress: a bar on a terminal, else a line from time to time."""
     console = Console(stderr=True)
-    start, done, good, pace = time.perf_counter(), 0, 0, RemainingTimeEstimate(total)
+    start, done, pace = time.perf_counter(), 0, RemainingTimeEstimate(total)
+    counts = dict.fromkeys(("success", "failure", "invalid"), 0)
     # numbers first: a narrow terminal cuts the end of the line off
     columns = (
         MofNCompleteColumn(),
@@ -86,18 +87,23 @@ def report_progress(
             return f"compiling {program}{format_last_duration(program)}{format_running_parts(program)}"
         left = f", about {pace.remaining_s():.0f} s left" if not console.is_terminal else ""
         workers = f", {watched.workers} workers" if watched and watched.workers is not None else ""
-        return f"{done / (time.perf_counter() - start):.1f} rollouts/s, {good / done:.0%} succeed{left}{workers}"
+        # counts, since shares of a search for failures, of a refined map or of an unfinished grid are no rates
+        outcomes = f"{counts['success']:,} succeeded, {counts['failure']:,} failed"
+        invalid = f", {counts['invalid']:,} invalid" if counts["invalid"] else ""
+        return f"{done / (time.perf_counter() - start):.1f} rollouts/s, {outcomes}{invalid}{left}{workers}"
 
     silent = nullcontext() if console.is_terminal else show_elapsed_time(lambda: f"{name}: {done} of {total}, {note()}")
     with silent, Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task(name, total=total)
 
         def report(rows: pd.DataFrame) -> None:
-            nonlocal done, good
+            nonlocal done
             if not done:
                 remember_duration(program, time.perf_counter() - start)
             pace.add_finished(len(rows))
-            done, good = done + len(rows), good + int((rows["outcome"] == "success").sum())
+            done += len(rows)
+            for outcome in counts:
+                counts[outcome] += int((rows["outcome"] == outcome).sum())
             bar.update(task, completed=done)
 
         yield report

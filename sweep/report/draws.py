@@ -57,6 +57,8 @@ def draws_figure(results: Results) -> Iterator[StudyFigure]:
         grey = "; grey where p > 0.05" if results.regional_sensitivity["p"].notna().any() else ""
         text += "Below: how differently successes and failures are distributed along each parameter "
         text += f"(Kolmogorov-Smirnov distance{grey}), and the rollouts over the two with the largest distance."
+    if results.exp.study.is_adaptive:
+        text += " The search placed these rollouts where it expected failures: they are no sample of the distributions."
     table = results.rows[[*columns, *LABEL_COLUMNS, "point_id"]]
     yield StudyFigure("draws", "Draws", text, table, lambda: draw_overview(results))
 

@@ -40,18 +40,28 @@ def describe_folder(folder: Path) -> dict[str, str]:
         return {"folder": name, **empty, "study": printable_name(str(error).split(":")[0].removeprefix(f"{folder}/"))}
     found, config = success_rate(outcome), flatten_values(stored["config"])
     succeed = format_percent(found.share) if found.valid_count else ""
+    invalid = format_percent(found.invalid_share)
     if is_adaptive_kind(config.get("study.design.kind")) and config.get("study.design.num"):
-        succeed = probability_of_failure(store.read_rows(folder), load_experiment(folder)) if found.total else ""
+        succeed = read_failure_probability(folder) if found.total else ""
+        invalid = f"{found.invalid:,}"  # of the placed rollouts, of which no share is a rate
     changed_s = path_inside_folder(folder, store.STUDY_FILE).stat().st_mtime
     return {
         "folder": name,
         "study": str(config.get("study.name") or config.get("scenario.name", "")),
         "rollouts": f"{found.total:,} of {stored['rollouts']:,}",
         "succeed": succeed,
-        "invalid": format_percent(found.invalid_share),
+        "invalid": invalid,
         "commit": stored["commit"] or stored["code"],
         "date": f"{datetime.fromtimestamp(changed_s):%Y-%m-%d %H:%M}",
     }
+
+
+def read_failure_probability(folder: Path) -> str:
+    """P(failure) of a study that searches for failures, or why it is unknown, as where its project is not at hand."""
+    try:
+        return probability_of_failure(store.read_rows(folder), load_experiment(folder))
+    except InputError as error:
+        return f"P(failure) is not known: {printable_name(str(error).rpartition(': ')[2])}"
 
 
 def read_outcomes(folder: Path) -> pd.Series:

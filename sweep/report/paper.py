@@ -213,8 +213,9 @@ def quotable_numbers(results: Results, failure: FailureEstimate | None) -> Itera
         interval = f"end of the 95 % interval ({interval_method(results.exp.study)}) of the {share}"
         yield _percent(start + "RateLow", one.low, f"lower {interval}", valid)
         yield _percent(start + "RateHigh", one.high, f"upper {interval}", valid)
-    yield _percent(start + "InvalidRate", one.invalid_share, 'share of outcome == "invalid"', None)
-    if failure:
+    if failure is None:
+        yield _percent(start + "InvalidRate", one.invalid_share, 'share of outcome == "invalid"', None)
+    else:
         for name, value in zip(("", "Low", "High"), (failure.probability, *failure.interval), strict=True):
             what = f"probability of failure{f', its {name.lower()} 95 % end' if name else ''}, sampling corrected"
             shown = "--" if np.isnan(value) else cells.format_number(value, 2)

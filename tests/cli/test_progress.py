@@ -3,6 +3,7 @@
 import time
 from io import StringIO
 
+import pandas as pd
 import pytest
 from rich.console import Console
 
@@ -45,3 +46,13 @@ def test_numbers_come_first_in_eighty_columns(monkeypatch):
         pass
     line = next(line for line in screen.getvalue().splitlines() if "0/96" in line)
     assert line.index("0/96") < line.index("-:-- left") < line.index("a_study")
+
+
+def test_outcomes_are_counted_and_no_share_of_them_looks_like_a_rate(monkeypatch):
+    screen = StringIO()
+    wide = Console(file=screen, force_terminal=True, width=200)
+    monkeypatch.setattr(run_progress, "Console", lambda **_: wide)
+    with run_progress.report_progress("rare", 8, "a_scenario") as report:
+        report(pd.DataFrame({"outcome": ["success"] * 3 + ["failure", "invalid"]}))
+    assert "3 succeeded, 1 failed, 1 invalid" in screen.getvalue()
+    assert "%" not in screen.getvalue()
