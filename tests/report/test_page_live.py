@@ -612,6 +612,28 @@ def test_rates_of_a_grid_are_up_to_a_value_and_those_of_draws_also_by_number(bro
     assert chosen["draws"] == ""
 
 
+def test_a_study_of_each_parameter_alone_opens_on_the_outcomes_along_each(browser, tmp_path):
+    axes = ["study.axes.friction.values=[0.2,0.4,0.6,1.0]", "study.axes.step.values=[0.09,0.1,0.11]"]
+    assert simulated(tmp_path, *axes, "study.design={grid: one_at_a_time}") == 0
+    found = results.read_results(tmp_path)
+    browser.open(page.write_page(found, tmp_path / "report.html"))
+    browser.until("performance.getEntriesByName('map').length")
+    tops = browser.run("['#curves', '#map'].map((one) => document.querySelector(one).getBoundingClientRect().top)")
+    assert tops[0] < tops[1]
+    labels = browser.run("[...document.querySelectorAll('#curves canvas')].map((one) => one.ariaLabel)")
+    assert [label.partition(" ")[0] for label in labels] == ["friction", "step"]  # the larger effect first
+    left, top, width, _ = browser.place("#curves canvas")
+    left, width = left + 48, width - 58  # without the margins for numbers
+    browser.mouse("Moved", left + 0.02 * width, top + 30)
+    alone = found.rows[found.rows[STEP] == 0.1]
+    failed = alone[(alone["world.contact.friction"] == 0.2)]["cause"].iloc[0]
+    assert failed in browser.run("document.querySelector('#curves-tip').textContent")
+    browser.drag(left + 0.02 * width, top + 30, left + 0.3 * width, top + 30)
+    low = found.rows[found.rows["world.contact.friction"] <= 0.4]
+    browser.until(f"document.querySelector('#passing').textContent.startsWith('{len(low)} of ')")
+    assert browser.errors == []
+
+
 def test_names_of_theories_do_not_lie_on_each_other(browser, refined, tmp_path):
     found = results.read_results(refined)
     (theory,) = found.exp.study.theory

@@ -130,6 +130,7 @@ def render_page(
         "sure": rate.has_interval and independent,
         "independent": independent,
         "adaptive": results.exp.study.is_adaptive and not pairs,
+        "curves": [] if pairs else list(data.alone_curves(results)),
     }
     others = [
         style,
@@ -163,6 +164,7 @@ def render_page(
             (one.title, one.row["cause"] or one.row["outcome"]) for one in shown or () if results.exp.study.single
         ],
         repeated=results.exp.study.replicates > 1,
+        curves=about["curves"],
         plates=plates,
         expectations=[] if pairs else list(check_expectations(results)),
         parameters=list(tables.varied_parameters(results)),

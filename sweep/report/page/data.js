@@ -59,6 +59,17 @@ import { clamp } from "./numbers.js";
  */
 
 /**
+ * A parameter that varies alone, with the intervals of the success rate where it has any.
+ * @typedef {object} Curve
+ * @property {string} key
+ * @property {number | null} nominal
+ * @property {number[]} at values with an interval
+ * @property {number[]} low
+ * @property {number[]} high
+ * @property {string} block its rows
+ */
+
+/**
  * @typedef {object} Arrow
  * @property {number} metres for a newton
  * @property {number} least smallest force with an arrow, N
@@ -101,6 +112,7 @@ import { clamp } from "./numbers.js";
  * @property {boolean} sure whether all rows are independent draws, so that their rate has a confidence interval
  * @property {boolean} independent whether tests may treat rows as independent
  * @property {boolean} adaptive whether a search for failures placed the rollouts, so that their shares are no rates
+ * @property {Curve[]} curves parameters that vary alone; empty for other studies
  * @property {Record<string, number> | null} effects Sobol indices of a refined map, by column
  * @property {string[]} start
  * @property {Theory[]} theory
@@ -132,6 +144,8 @@ import { clamp } from "./numbers.js";
  * @property {number} high
  */
 
+/** @typedef {Omit<Curve, "key" | "block"> & { column: Column, rows: Int32Array }} AloneAxis */
+
 /**
  * @typedef {object} Table
  * @property {About} about
@@ -142,6 +156,7 @@ import { clamp } from "./numbers.js";
  * @property {Map<string, Column>} named by key
  * @property {Uint8Array} ids bytes of point ids
  * @property {Int32Array | null} mesh rows at the corners of cells, four a cell
+ * @property {AloneAxis[]} alone parameters that vary alone
  * @property {Map<number, number>} replayed replays by row
  */
 
@@ -177,6 +192,12 @@ export async function readTable(about) {
     at += 2 * rows;
     return makeColumn(format, values);
   });
+  const named = new Map(columns.map((column) => [column.key, column]));
+  const alone = (about.curves ?? []).map(async ({ key, block, ...curve }) => ({
+    ...curve,
+    column: named.get(key) ?? columns[0],
+    rows: new Int32Array(await inflate(block)),
+  })); // pages of earlier versions have none
   return {
     about,
     rows,
@@ -184,7 +205,8 @@ export async function readTable(about) {
     stage: bytes.subarray(rows, 2 * rows),
     ids: bytes.subarray(2 * rows, (2 + half) * rows),
     columns,
-    named: new Map(columns.map((column) => [column.key, column])),
+    named,
+    alone: await Promise.all(alone),
     mesh: about.refined_cells ? new Int32Array(await inflate(about.refined_cells.block)) : null,
     replayed: new Map(about.replays.map((one, k) => /** @type {const} */ ([one.row, k])).filter(([row]) => row >= 0)),
   };

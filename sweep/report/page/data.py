@@ -5,18 +5,20 @@ of its point id; then each column as whole numbers of two bytes, all the low byt
 """
 
 import json
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from sweep.analysis import sensitivity
 from sweep.analysis.sample import sample_indices
 from sweep.contract.system import split_side
 from sweep.core.distinct_values import has_several_values
 from sweep.core.files import encode_text
 from sweep.core.json_values import to_json_value
 from sweep.report import analytic_curves
-from sweep.report.figures import metric_thresholds, metrics_with_threshold_first
+from sweep.report.figures import effects_figure, metric_thresholds, metrics_with_threshold_first
 from sweep.report.labels import (
     column_meaning,
     kind_meaning,
@@ -203,6 +205,43 @@ def refined_cells(results: Results) -> dict[str, Any] | None:
     cells = np.concatenate(found) if found else np.zeros((0, 4), int)
     cells = cells[(cells >= 0).all(axis=1)]
     return {"axes": [axis.column for axis in axes], "block": encode_text(cells.astype("<i4").tobytes())}
+
+
+def alone_curves(results: Results) -> Iterator[dict[str, Any]]:
+    """Yield the parameters of a study that varies each alone, or only one, with their rows.
+
+    The success rate at each value has its interval where the study's rows are a sample. A study of which the page has
+    only a sample of rows, or whose results decide where rollouts are placed, has no such parameters.
+    """
+    rows = results.rows.reset_index(drop=True)
+    if results.exp.study.is_sequential or len(sample_places(len(rows))) < len(rows):
+        return
+    if results.is_one_at_a_time:
+        found = [
+            (axis.column, centre, part) for axis, centre, part in sensitivity.one_at_a_time_rows(rows, results.exp)
+        ]
+    elif len(results.axes) == 1 and results.numeric_columns:
+        found = [(column, nominal_number(results, column), rows) for column in results.numeric_columns]
+    else:
+        return
+    figure = next(effects_figure(results), None)
+    for column, nominal, part in found:
+        if not has_several_values(part[column]):
+            continue
+        rates = figure.data[figure.data["axis"] == column].dropna(subset="low") if figure else pd.DataFrame()
+        yield {
+            "key": column,
+            "nominal": nominal,
+            "at": rates["value"].tolist() if len(rates) else [],
+            "low": rates["low"].tolist() if len(rates) else [],
+            "high": rates["high"].tolist() if len(rates) else [],
+            "block": encode_text(part.index.to_numpy().astype("<i4").tobytes()),
+        }
+
+
+def nominal_number(results: Results, column: str) -> float | None:
+    """Nominal value of a parameter; None for a number from which parameters are computed."""
+    return None if column.startswith("axis.") else float(results.exp.system.nominal(column, results.exp.settings))
 
 
 def cell_effects(results: Results) -> dict[str, float] | None:

@@ -10,6 +10,7 @@ import {
   rateView,
   stageView,
 } from "./charts.js";
+import { curvesView } from "./curves.js";
 import { clipName, sortedRows, pointId, readTable } from "./data.js";
 import { makeButton, byId, element, kindStyle, prepareCanvas, readTheme } from "./dom.js";
 import { rowsTableView } from "./table.js";
@@ -63,6 +64,8 @@ async function startPage() {
   document.documentElement.classList.add("live");
   const watch = table.rows < 3 || table.columns.length < 2; // nothing to map: only the replay is shown
   document.documentElement.classList.toggle("watch", watch);
+  document.documentElement.classList.toggle("alone", table.alone.length > 0);
+  byId("replay").classList.toggle("empty", !about.replays.length); // before views take their widths
   const state = makeState(table);
   /** @type {Map<Column, Uint32Array>} */
   const orders = new Map();
@@ -174,6 +177,7 @@ async function startPage() {
   const chips = addFilterButtons(app);
   if (!watch)
     views.push(
+      ...(table.alone.length ? [curvesView(app)] : []),
       mapView(app),
       parallelView(app),
       stageView(app),

@@ -70,7 +70,6 @@ export function makePlayer(app) {
   const fingers = new Map();
 
   if (!replays.length) {
-    panel.classList.add("empty");
     note.textContent = `No rollout has a replay yet. This adds some: sweep report ${clipName(table.about.folder)} --replays 6`;
     return { openRow: () => {}, draw: () => {}, time: () => null };
   }
