@@ -190,7 +190,7 @@ def test_many_small_parts_become_few_when_a_run_ends(tmp_path, whole, monkeypatc
     def killed(*_, **__):
         raise KeyboardInterrupt
 
-    for module, name in ((store, "write_table"), (manifest, "rewrite"), (repair.Path, "unlink")):
+    for module, name in ((store, "write_table"), (manifest, "rewrite_manifest"), (repair.Path, "unlink")):
 
         def dies(*args, module=module, name=name):
             with monkeypatch.context() as patch:

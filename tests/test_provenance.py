@@ -127,7 +127,7 @@ def test_a_commit_is_marked_where_what_makes_rows_differs(tmp_path, monkeypatch)
     git = ["git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a@example.org"]
     for words in (["init", "-q"], ["add", "."], ["commit", "-qm", "a"]):
         subprocess.run([*git, *words], check=True)
-    monkeypatch.setattr(provenance, "PACKAGE_FOLDER", tmp_path / "sweep")
+    monkeypatch.setattr(provenance, "SOURCE_FOLDER", tmp_path / "sweep")
     plain = provenance.find_commit.__wrapped__()
     assert len(plain) == 12
     (tmp_path / "research/data.json").write_text("2\n")

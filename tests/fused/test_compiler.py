@@ -180,7 +180,7 @@ def test_a_batch_keeps_the_program_that_it_goes_through():
         from sweep.fused.kernel import Kernel, compile_function
         one = jnp.zeros(()) 
         code = compile_function(lambda given, carried, k: (carried + given, {}), one, one)
-        tiles = Kernel(code).enter(one + 2, one[None], 1)
+        tiles = Kernel(code).load_batch(one + 2, one[None], 1)
         gc.collect()
         tiles.advance(0, 3)
         print(tiles.read_all())
@@ -405,6 +405,6 @@ def test_the_pages_example_runs_and_its_operations_are_those_of_the_code(capsys)
     assert "define void @run" in capsys.readouterr().out
     described = " ".join(re.findall(r'"""Extra of (.*?):', Path(fused_program.__file__).read_text(encoding="utf-8")))
     told = set(re.findall(r"`(\w+)`", described))
-    with_extra = {n.op for n in walk_block(names["program"].top) if isinstance(n, Node) and n.extra is not None}
+    with_extra = {n.op for n in walk_block(names["program"].top_block) if isinstance(n, Node) and n.extra is not None}
     assert with_extra
     assert with_extra <= told
