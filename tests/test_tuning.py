@@ -2,12 +2,14 @@
 
 import math
 import re
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import yaml
 
 from sweep.cli.main import main
 from sweep.cli.plan_search import drawn_sizes, plan_content
@@ -27,6 +29,8 @@ from sweep.planning.score import (
 from sweep.planning.score import with_value as moved
 from sweep.runs import tuning
 from sweep.runs.tuning import fit_size_slopes, free_numbers, search_by_cma, search_by_gradients
+from sweep.runs.unsearched_values import describe_unsearched_values
+from sweep.study.study import make_points
 
 STUDIES = Path(__file__).parents[1] / "research" / "studies"
 AT, STEPS = np.array([1.0, -2.0, 0.5]), np.array([0.1, 0.1, 0.02])
@@ -141,9 +145,10 @@ def test_a_plan_that_touches_is_tuned_until_it_does_not(tmp_path, monkeypatch, c
     before, after = (float(word) for word in told.split()[1:4:2])
     assert after < before
     text = (tmp_path / "plans" / "mine.yaml").read_text()
-    assert text.startswith(
-        f"# 2 numbers searched for by CMA-ES: score {before:.4g} before, {after:.4g} after\n# sweep tune"
-    )
+    assert text.startswith(f"# 2 numbers searched for by CMA-ES: score {before:.4g} before, {after:.4g} after\n")
+    command = yaml.safe_load(text)["searched"]["command"]
+    assert main([*shlex.split(command)[1:], "--check"]) == 0  # as it stands
+    capsys.readouterr()
     was, now = (compose(["scenario=pole_top", f"plan={file}"]).case for file in ("low.yaml", "plans/mine.yaml"))
     was, now = (numbers_by_path(evaluate_plan(case), case.obstacle.charts) for case in (was, now))
     assert {path for path in was if was[path] != now[path]} == {"over.front.base.ahead", "over.front.base.above"}
@@ -268,6 +273,10 @@ def test_a_plan_is_tuned_to_follow_sizes_and_simulated(tmp_path, monkeypatch, ca
     text = (tmp_path / "plans" / "mine.yaml").read_text()
     assert " before, 0 after" in told
     assert "over.front.base.ahead: {obstacle.radius: -" in text
+    ranges = yaml.safe_load(text)["searched"]["ranges"]
+    low, high = ranges["obstacle.radius"]
+    assert 0.378 < low < high < 0.462  # four draws within 10 % of 0.42 m
+    assert ranges.keys() == {"obstacle.radius", "robot.shin_mass"}
     assert ": {robot.shin_mass" not in text  # on which no margin depends
     assert ", robot.shin_mass" not in text
     for seed in (0, 1):
@@ -340,3 +349,38 @@ def test_numbers_do_not_follow_a_size_that_is_nought():
     assert exp.case.obstacle.offset == 0
     assert "obstacle.gap" in (sizes := drawn_sizes(exp))
     assert "obstacle.offset" not in sizes
+
+
+def test_a_study_is_told_which_sizes_its_plan_was_not_searched_for(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.yaml").write_text(
+        "extends: pole_top\nsearched:\n  ranges: {obstacle.radius: [0.4, 0.44], robot.thigh: [0.5, 0.54]}\n"
+    )
+    study = "scenario: pole_top\nstudy: {name: wide, axes: {radius: {path: obstacle.radius, values: [0.41, %s]}}}\n"
+
+    def describe(largest):
+        (tmp_path / "wide.yaml").write_text(study % largest)
+        exp = compose(["study=wide.yaml", "plan=mine.yaml"])
+        return describe_unsearched_values(exp, make_points(exp.study, exp.system, exp.settings))
+
+    command = "sweep tune scenario=pole_top study=wide --follow --simulate out=plans/pole_top.yaml"
+    assert describe(0.46) == [
+        "obstacle.radius is 0.41 to 0.46; the numbers of the plan were searched for 0.4 to 0.44: "
+        f"`{command}` searches for these"
+    ]
+    assert describe(0.43) == []
+
+
+@pytest.mark.parametrize(
+    ("ranges", "told"),
+    [
+        ("{obstacle.radius: 0.4}", "obstacle.radius = 0.4 is not allowed: the least and the largest value"),
+        ("{obstacle.radius: [0.44, 0.4]}", "obstacle.radius = [0.44, 0.4] is not allowed: the least value comes first"),
+        ("{obstacle.radius: [0.4, wide]}", "obstacle.radius = [0.4, 'wide'] is not allowed: the least and"),
+    ],
+)
+def test_malformed_ranges_of_a_search_are_refused(ranges, told, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.yaml").write_text(f"extends: pole_top\nsearched: {{ranges: {ranges}}}\n")
+    assert main(["run", "scenario=pole_top", "plan=mine.yaml"]) == 2
+    assert f"plan.searched.ranges.{told}" in capsys.readouterr().err

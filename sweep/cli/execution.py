@@ -31,6 +31,7 @@ from sweep.runs.batches import make_engine
 from sweep.runs.batches import make_nominal_batch as nominal_batch
 from sweep.runs.nominal_levels import FailingLevel, find_failing_levels
 from sweep.runs.results import Results
+from sweep.runs.unsearched_values import describe_unsearched_values
 from sweep.study.clusters import WorkerStatus, connect_lazily
 from sweep.study.study import check_expect, name_axes, parameter_columns, unit_of_column
 from sweep.systems import find_kind_by_keys
@@ -94,7 +95,8 @@ def execute_experiment(exp: Experiment, flags: RunFlags) -> int:
         points = job.table if len(job.table) == len(first) else first.assign(width=job.table["width"].iloc[0])
         with show_elapsed_time("tracing which axes enter the simulation"):
             ineffective = axis_effects.describe_unread_axes(exp, points)
-        print("\n".join([describe_dry_run(job), *ineffective, *map(str, failing_levels(exp))]))
+        unsearched = describe_unsearched_values(exp, first)
+        print("\n".join([describe_dry_run(job), *unsearched, *ineffective, *map(str, failing_levels(exp))]))
         return DONE
     if flags.check:
         return check_axes(exp, first)
@@ -133,7 +135,8 @@ def execute_experiment(exp: Experiment, flags: RunFlags) -> int:
         )
     with show_elapsed_time("looking for axes without an effect"):
         ineffective = axis_effects.describe_ineffective_axes(exp, rows)
-    print("\n".join([summarize_study(exp, rows), *(f"  {line}" for line in (*ineffective, *(failing or ())))]))
+    notes = (*describe_unsearched_values(exp, first), *ineffective, *(failing or ()))
+    print("\n".join([summarize_study(exp, rows), *(f"  {line}" for line in notes)]))
     if exp.study.is_refined:
         print("\n".join(f"refined: {one}" for one in refine.summarize_panels(exp, rows)))
     if exp.study.is_adaptive and complete:

@@ -27,7 +27,7 @@ from sweep.core.files import write_atomically
 from sweep.core.provenance import search_version
 from sweep.models.case import Case
 from sweep.planning import plan_table
-from sweep.planning.plan_table import SLOPES, Content
+from sweep.planning.plan_table import COMMAND, RANGES, SEARCHED, SLOPES, Content
 from sweep.planning.score import (
     EQUAL_DEFICIT,
     MANOEUVRE,
@@ -108,12 +108,14 @@ def tune_plan(args: argparse.Namespace) -> int:
         print(f"sweep: no better plan was found; {where} is unchanged", file=sys.stderr)
         return UNEXPECTED
     head = [f"{len(steps)} numbers searched for by {method}: score {was:.4g} before, {now:.4g} after",
-            f"sweep tune {shlex.join(args.words)}", f"least margins over draws of seed {exp.study.seed}, and over "
+            f"least margins over draws of seed {exp.study.seed}, and over "
             f"others of seed {exp.study.seed + 1}:", *told.splitlines()]  # fmt: skip
     found = dict(zip(steps, best.tolist(), strict=True))
     settings = [f"{path}={found.pop(path):g}" for path in own if path in found]
     head += ["to be run with " + " ".join(settings)] if settings else []
     content = add_slopes(plan_content(case, found), steps, slopes, sizes)
+    searched = {COMMAND: f"sweep tune {shlex.join(args.words)}", RANGES: searched_ranges(exp)}
+    content = {SEARCHED: searched, **content}
     write_atomically(where, plan_file(case, content, head).encode())
     if settings:
         print(head[-1])
@@ -138,6 +140,18 @@ def drawn_sizes(exp: Experiment) -> dict[str, float]:
         groups = " or ".join(plan_table.SIZED)
         raise InputError(f"--follow is not allowed: study {exp.study.name} draws no number of {groups} beside nought")
     return found
+
+
+def searched_ranges(exp: Experiment) -> dict[str, list[float]]:
+    """Return the least and the largest value of each size of robot and obstacle in the draws of a search, by path."""
+    points = make_points(exp.study, exp.system, exp.settings)
+    columns = {
+        split_side(column)[1]: points[column]
+        for column in parameter_columns(points)
+        if points[column].dtype.kind == "f"
+    }
+    sizes = (path for path in sorted(columns) if path.partition(".")[0] in plan_table.SIZED)
+    return {path: [float(f"{end(columns[path]):.6g}") for end in (min, max)] for path in sizes}
 
 
 def select_influential_sizes(

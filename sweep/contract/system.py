@@ -5,7 +5,7 @@ that are opaque to them, engines that simulate both, metrics by column, and caus
 """
 
 import dataclasses
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
@@ -155,6 +155,10 @@ class System(Protocol):
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
         """Raise `InputError` where values of a points table, each within its bounds, are not allowed together."""
+        ...
+
+    def describe_unsearched_values(self, table: "pd.DataFrame", settings: EngineSettings) -> Iterable[str]:
+        """Yield a line for each parameter of a points table outside the values that its controller was made for."""
         ...
 
     def make_sides(self, values: ColumnValues) -> tuple[Any, Any]:

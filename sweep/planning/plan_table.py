@@ -4,7 +4,7 @@ A file's `extends` names the one that it starts from. Every number has a path, s
 In place of a number a formula may stand, of names of the part `sizes` and of parameters, such as `obstacle.radius`; the
 moves of a part with `repeat` are made again and again, `k` times before. Numbers hold for the sizes that the part
 `slopes` has under `at`, and follow others in proportion. With `way: back` the whole is gone backwards in time, with
-`way: there_and_back` both ways.
+`way: there_and_back` both ways. The part `searched` names the command that found the numbers, and its ranges of sizes.
 """
 
 import dataclasses
@@ -34,6 +34,7 @@ SLOPES, AT = "slopes", "at"  # the part that says how numbers follow sizes; its 
 WAY = "way"  # the line that says how the whole is gone: `forth` if there is none
 FORTH, BACK, _ = DIRECTIONS = ("forth", "back", "there_and_back")
 SIZES = "sizes"  # the part whose numbers formulas name
+SEARCHED, COMMAND, RANGES = "searched", "command", "ranges"  # the part that says how the numbers were found; its keys
 REPEAT, TIMES = "repeat", "k"  # the line that says how often a part is made; how often it was, in its formulas
 BESIDE = (SLOPES, WAY, SIZES)  # keys of no part of moves or of a manoeuvre's numbers
 SIZED = ("robot", "obstacle")  # groups whose sizes numbers may follow
@@ -48,6 +49,7 @@ SINGLE = (*LONG, "arc", "depth", "lift", "carry", "press")  # keys of a move's s
 ANY = quantity(0.0, "")
 Content = Mapping[str, Any]
 Names = tuple[str, ...]
+Ranges = Mapping[str, tuple[float, float]]  # least and largest value of sizes, by path
 
 
 def refuse_malformed(content: Content) -> None:
@@ -68,8 +70,17 @@ def refuse_malformed(content: Content) -> None:
         elif not isinstance(value, str | bool | None):
             check_value(ANY, value, path)
 
+    wanted(
+        Mapping, ranges := content.get(SEARCHED, {}).get(RANGES, {}), f"{GROUP}.{SEARCHED}.{RANGES}", "sizes by path"
+    )
+    for size, ends in ranges.items():
+        at = f"{GROUP}.{SEARCHED}.{RANGES}.{size}"
+        if not isinstance(ends, list) or [type(end) in (int, float) for end in ends] != [True, True]:
+            raise InputError(f"{at} = {ends} is not allowed: the least and the largest value, such as [0.4, 0.5]")
+        if not ends[0] <= ends[1]:
+            raise InputError(f"{at} = {ends} is not allowed: the least value comes first")
     for part, given in content.items():
-        if part != WAY:
+        if part not in (WAY, SEARCHED):
             wanted(Mapping, given, f"{GROUP}.{part}", "keys and values")
             leaves(given, f"{GROUP}.{part}")
     for name, value in content.get(SIZES, {}).items():
@@ -349,10 +360,33 @@ def plan_parameter(case: Any, path: str) -> "dataclasses.Field[Any]":
     return field
 
 
-@functools.cache
 def load_shipped_plan(name: str) -> Content:
-    """Load a plan table that comes with the package."""
+    """Load a plan table that comes with the package, without the part that says how its numbers were found."""
+    return split_searched(_load_shipped_file(name))[0]
+
+
+def default_searched_ranges(plan_name: str | None) -> Ranges:
+    """Return the ranges of sizes for which a manoeuvre's own plan was searched; empty without a file."""
+    return split_searched(_load_shipped_file(plan_name))[1] if plan_name else {}
+
+
+@functools.cache
+def _load_shipped_file(name: str) -> Content:
     return merge_extended(name, lambda other: project.shipped_files(GROUP)[other].read_text(encoding="utf-8"))
+
+
+def split_searched(content: Content) -> tuple[Content, Ranges]:
+    """Split the content of a plan's file into the plan itself and the ranges of sizes for which it was searched.
+
+    Args:
+        content: The file's content, with those that it extends merged.
+
+    Returns:
+        The content without the part `searched`; the least and the largest value of each size, by path.
+    """
+    ranges = content.get(SEARCHED, {}).get(RANGES, {})
+    plan = {key: value for key, value in content.items() if key != SEARCHED}
+    return plan, {size: (float(low), float(high)) for size, (low, high) in ranges.items()}
 
 
 def merge_extended(name: str, read: Callable[[str], str]) -> Content:

@@ -39,6 +39,7 @@ from sweep.report.representative import Representative, find_representatives
 from sweep.report.statistics import labelled_sections
 from sweep.runs import audit, store
 from sweep.runs.results import Results
+from sweep.runs.unsearched_values import describe_unsearched_values
 from sweep.study.columns import LABEL_COLUMNS
 
 MAX_TABLE_ROWS, MAX_LINES = 100, 100  # of the table at the end, and of the others
@@ -168,6 +169,7 @@ def render_page(
         plates=plates,
         expectations=[] if pairs else list(check_expectations(results)),
         parameters=list(tables.varied_parameters(results)),
+        unsearched=[] if pairs else describe_unsearched_values(results.exp, rows),
         reasons=[
             (cause, words, int((rows["cause"] == cause).sum())) for cause, words in results.occurring_causes.items()
         ],

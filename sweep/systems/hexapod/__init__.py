@@ -93,6 +93,7 @@ class Hexapod:
     """The robot with its obstacle and manoeuvre; implements `System`."""
 
     case: Case
+    searched_ranges: plan_table.Ranges = dataclasses.field(default_factory=dict, compare=False)  # of the case's plan
 
     groups = tuple(f.name for f in dataclasses.fields(Case))
     causes = outcome.CAUSE_MEANINGS
@@ -216,6 +217,16 @@ class Hexapod:
         self._check_built(table)
         self._check_step(table, settings)
 
+    def describe_unsearched_values(self, table: "pd.DataFrame", settings: EngineSettings) -> Iterator[str]:
+        """Yield a line for each believed size that leaves the range for which the plan was searched; see `System`."""
+        for path, (low, high) in self.searched_ranges.items():
+            values = _of_side(self, table, "belief", path, settings)
+            if values.min() < low or values.max() > high:
+                yield (
+                    f"{path} is {_format_ends(values.min(), values.max())}; the numbers of the plan were searched for "
+                    f"{_format_ends(low, high)}"
+                )
+
     def _check_coxa(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
         """Raise `InputError` where two-link legs have a coxa: no engine and no model has a link for it."""
         table = _select_paths(table, ("robot.legs", "robot.coxa"))
@@ -335,7 +346,8 @@ def nominal(values: Mapping[str, Any], kinds: ClassesByKind) -> Nominal:
     settings, given = parts.pop("engine"), dataclasses.asdict(parts.pop("outcome"))
     parts |= {group: build_by_kind(kinds[group], values[group], group) for group in ("obstacle", "manoeuvre")}
     complete_manoeuvre(type(parts["manoeuvre"]))  # a class of a user module may not inherit from `Manoeuvre`
-    case = Case(**parts, plan=_table(values["plan"], parts["manoeuvre"]))
+    table, searched_ranges = _table(values["plan"], parts["manoeuvre"])
+    case = Case(**parts, plan=table)
     if not _suits(type(case.obstacle), case.manoeuvre):
         needed = " or ".join(kind for kind, cls in OBSTACLES.items() if _suits(cls, case.manoeuvre))
         both = f"obstacle.kind = {case.obstacle.kind} is not allowed: manoeuvre.kind = {case.manoeuvre.kind}"
@@ -346,7 +358,7 @@ def nominal(values: Mapping[str, Any], kinds: ClassesByKind) -> Nominal:
         part = getattr(case, group)
         for member in dataclasses.fields(part):
             _check_size(f"{group}.{member.name}", member, getattr(part, member.name))
-    return Nominal(Hexapod(case), settings, outcome.resolve_thresholds(given, case))
+    return Nominal(Hexapod(case, searched_ranges), settings, outcome.resolve_thresholds(given, case))
 
 
 def plan_numbers(file: str, read: Callable[[str], str]) -> dict[str, float | str]:
@@ -360,7 +372,8 @@ def plan_numbers(file: str, read: Callable[[str], str]) -> dict[str, float | str
         Numbers, and formulas as text, by path.
     """
     places = {key: chart for cls in OBSTACLES.values() for key, chart in cls.charts.items()}
-    return plan_table.numbers_by_path(plan_table.merge_extended(file, read), places)
+    plan, _ = plan_table.split_searched(plan_table.merge_extended(file, read))
+    return plan_table.numbers_by_path(plan, places)
 
 
 def replace_parameter[T](owner: T, path: str, value: Any) -> T:
@@ -381,22 +394,23 @@ def replace_parameter[T](owner: T, path: str, value: Any) -> T:
     return dataclasses.replace(owner, **{name: inner})  # pyright: ignore[reportArgumentType]
 
 
-def _table(given: Any, manoeuvre: Any) -> PlanTable:
-    """Return the plan table of a configuration; empty where the manoeuvre's default plan is used."""
+def _table(given: Any, manoeuvre: Any) -> tuple[PlanTable, plan_table.Ranges]:
+    """Return the plan table of a configuration, empty for the manoeuvre's own plan, and the ranges of its search."""
     kind = manoeuvre.kind
     if not given:
         if manoeuvre.default_plan_name == "":
             raise InputError(f"plan is missing: manoeuvre.kind = {kind} has no default plan")
-        return PlanTable()
+        return PlanTable(), plan_table.default_searched_ranges(manoeuvre.default_plan_name)
     if not isinstance(given, Mapping):
         raise InputError(f"plan = {given} is not allowed: `sweep list` shows the choices")
     if manoeuvre.default_plan_name is None:
         raise InputError(f"plan is not allowed: manoeuvre.kind = {kind} has no plan file")
     plan_table.refuse_malformed(given)
+    given, searched_ranges = plan_table.split_searched(given)
     require_choice(way := given.get(WAY, FORTH), DIRECTIONS, f"plan.{WAY} = {way}")
     if way != FORTH and not manoeuvre.two_way:
         raise InputError(f"plan.{WAY} = {way} is not allowed: manoeuvre.kind = {kind} goes {FORTH} only")
-    return PlanTable(json.dumps(given))
+    return PlanTable(json.dumps(given)), searched_ranges
 
 
 def _suits(obstacle: type[Obstacle], manoeuvre: Manoeuvre) -> bool:
@@ -420,6 +434,11 @@ def _of_side(
 
     column = next((c for c in (f"{side}.{path}", path) if c in table.columns), None)
     return table[column] if column else pd.Series(system.nominal(path, settings), index=table.index)
+
+
+def _format_ends(low: float, high: float) -> str:
+    """Format a range, or a single value."""
+    return f"{low:.4g} to {high:.4g}" if f"{low:.4g}" != f"{high:.4g}" else f"{low:.4g}"
 
 
 def _check_size(column: str, member: Parameter, value: Any) -> None:

@@ -233,6 +233,10 @@ class MujocoModel(ModelSpec):
         yield from ((path, self.nominal_value(path)) for path in paths
                     if path.startswith("model.") and not terrain.is_terrain(path))  # fmt: skip
 
+    def describe_unsearched_values(self, table: "pd.DataFrame", settings: EngineSettings) -> tuple[str, ...]:
+        """Return nothing: a user's controller does not say for which values it was made."""
+        return ()
+
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
         """Refuse axes that vary nothing, a controller that is none, and an engine that is none for the model."""
         columns = [c for c in map(str, table.columns) if "." in c and not c.startswith("axis.")]

@@ -1,0 +1,21 @@
+"""Parameters of a study outside the values that the controller, such as a stepping plan, was searched for."""
+
+import pandas as pd
+
+from sweep.config.experiment import Experiment
+
+
+def describe_unsearched_values(exp: Experiment, points: pd.DataFrame) -> list[str]:
+    """Describe which values of a study lie outside those that the controller was searched for.
+
+    Args:
+        exp: The experiment.
+        points: Points or rows of the study.
+
+    Returns:
+        A sentence for each parameter, with the command that searches for them.
+    """
+    words = f"scenario={exp.scenario} study={exp.study.name}"
+    command = f"sweep tune {words} --follow --simulate out=plans/{exp.scenario}.yaml"
+    lines = exp.system.describe_unsearched_values(points, exp.settings) if len(points) else ()
+    return [f"{line}: `{command}` searches for these" for line in lines]
