@@ -36,19 +36,15 @@ DOCS = RESEARCH.parent / "docs"
 DATA = RESEARCH / "data"
 ROBOT, GROUND = ("axis.size_error", 0.02), ("axis.ground_error", 0.01)  # of all sizes, which learning is to bear
 TOUCH_ALONE = ("ball_descend", "ball_to_ball")  # who start on a ball, where nobody can calibrate
-TOLERATED = {  # what an error of `BOUNDS` is called in the guide
+TOLERATED = {  # kinds of errors of `BOUNDS` that pages of manoeuvres show, and their names there
     "axis.size_error": "robot's sizes and masses, %",
     "axis.ground_error": "obstacle's sizes, %",
     "axis.friction": "friction lower than believed, %",
     "world.execution.torque_scale": "torque limit lower than believed, %",
     "noise.position_noise": "noise of the measured position, mm",
     "noise.position_bias": "bias of the measured position, mm",
-    "noise.orientation_noise": "noise of the measured attitude, mrad",
-    "noise.orientation_bias": "bias of the measured attitude, mrad",
     "noise.joint_bias": "bias of every joint angle, mrad",
     "noise.delay": "delay of all measurements, ms",
-    "noise.load_noise": "noise of the measured foot loads, N",
-    "noise.load_delay": "extra delay of the foot loads, ms",
 }
 LEARNING = {
     "believes": "no learning",
