@@ -42,7 +42,6 @@ TOLERATED = {  # kinds of errors of `BOUNDS` that pages of manoeuvres show, and 
     "axis.friction": "friction lower than believed, %",
     "world.execution.torque_scale": "torque limit lower than believed, %",
     "noise.position_noise": "noise of the measured position, mm",
-    "noise.position_bias": "bias of the measured position, mm",
     "noise.joint_bias": "bias of every joint angle, mrad",
     "noise.delay": "delay of all measurements, ms",
 }
@@ -341,8 +340,8 @@ def sources(names: list[str]) -> str:
 
 
 def origin(names: list[str]) -> str:
-    """Return the sentence of a page of the guide that says at which commits its data were measured."""
-    return f"These numbers were measured at commits {codes(names)}."
+    """Return the words of a page of the guide that say at which commits its data were measured."""
+    return f"Measured at commits {codes(names)}."
 
 
 def age(names: list[str]) -> str:
