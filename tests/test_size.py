@@ -10,10 +10,12 @@ import pyarrow.parquet as pq
 import pytest
 
 import sweep
+from sweep.analysis.axis_effects import compare_along_axes
+from sweep.cli.commands import report
 from sweep.cli.main import main
 from sweep.config.experiment import compose
-from sweep.report import tables
-from sweep.runs import manifest, parquet, runner, store
+from sweep.report import page, tables
+from sweep.runs import manifest, parquet, results, runner, store
 from sweep.study import study
 from sweep.study.columns import metric_columns
 from sweep.study.study import make_points
@@ -61,6 +63,31 @@ def test_commands_read_the_columns_that_they_need(read, capsys):
     assert [*filter(read.__contains__, metric_columns(pd.DataFrame(columns=store.list_columns(FOLDER))))] == [
         "slip_max_m"
     ]
+
+
+def test_a_page_reads_the_metrics_that_it_may_show(read, monkeypatch, tmp_path):
+    monkeypatch.setattr(page, "write_page", lambda found, path, **options: path)  # other tests write pages
+    monkeypatch.setattr(report, "save_pictures", lambda *args: [])
+    bookkeeping = {*compose(["scenario=walk_tripod"]).system.bookkeeping_metrics} & {*store.list_columns(FOLDER)}
+    assert bookkeeping > {"finished", "slipped_time_s"}
+    assert main(["report", str(FOLDER), "-o", str(tmp_path), "--where", "slipped_time_s > 0 or finished == 1"]) == 0
+    assert bookkeeping & read == {"finished", "slipped_time_s"}
+
+
+def test_an_axis_that_changes_bookkeeping_alone_has_an_effect(tmp_path):
+    folder = shutil.copytree(FOLDER, tmp_path / "out")
+    parts = store.current_parts(folder)
+    rows = pd.concat([store.read_part(folder, part) for part in parts])
+    labels = ["outcome", "cause", "stage", "t_cause_s", "limit", "margin", "margin_of"]
+    constant = [name for name in (*metric_columns(rows), *labels) if name != "end_stage"]
+    rows[constant] = rows[constant].iloc[0].to_numpy()
+    rows["end_stage"] = rows["manoeuvre.half_step_ratio"]
+    judged = [(rows[rows["batch"].isin(part.batches)], part) for part in parts]
+    entries = [store.write_part(folder, table, part.study, part.labels) for table, part in judged]
+    manifest.rewrite_manifest(folder, [*(one for one in manifest.read_manifest(folder) if one not in parts), *entries])
+    found = results.read_results(folder, with_bookkeeping=False)
+    effects = {name: not pairs.are_equal for name, pairs in compare_along_axes(found.rows, found.exp).items()}
+    assert effects == {"friction": False, "step": True, "engine": False}
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])

@@ -9,6 +9,7 @@ from typing import Any
 import pandas as pd
 
 from sweep.analysis import sensitivity
+from sweep.analysis.axis_effects import compare_along_axes
 from sweep.analysis.sample import drop_repeated_rollouts
 from sweep.config.experiment import Experiment, build_experiment
 from sweep.core.distinct_values import has_several_values
@@ -135,7 +136,7 @@ def iterate_matching_rows(
         yield rows.loc[condition_mask(rows, where), list(columns)], len(rows)
 
 
-def read_results(folder: Path, where: str | None = None) -> Results:
+def read_results(folder: Path, where: str | None = None, with_bookkeeping: bool = True) -> Results:
     """Read the finished rows of a study's folder.
 
     Rollouts without noise that repeat others are left out.
@@ -143,12 +144,18 @@ def read_results(folder: Path, where: str | None = None) -> Results:
     Args:
         folder: Folder of the study.
         where: Condition on columns that chooses rows; None for all.
+        with_bookkeeping: Whether to read `System.bookkeeping_metrics`, too, about half of the robot's metrics. They
+            are read in any case where a condition or an adaptive design may need them, or where all others are equal
+            along an axis.
 
     Raises:
         InputError: The folder is not a study's, is damaged, or no row matches.
     """
     stored, exp = store.read_study(folder), load_experiment(folder)
-    rows = name_axes(store.read_rows(folder), exp.study.axes)
+    columns = None if with_bookkeeping or exp.study.is_adaptive else _columns_without_bookkeeping(folder, exp, where)
+    rows = name_axes(store.read_rows(folder, columns), exp.study.axes)
+    if columns and any(pairs.are_equal for pairs in compare_along_axes(rows, exp).values()):
+        rows = name_axes(store.read_rows(folder), exp.study.axes)
     done = len(rows)
     if where:
         rows = rows[condition_mask(rows, where)].reset_index(drop=True)
@@ -156,3 +163,10 @@ def read_results(folder: Path, where: str | None = None) -> Results:
             raise InputError(f"no row of {folder} matches where = {where!r}")
     chosen, copies = drop_repeated_rollouts(rows, exp)
     return Results(folder, stored, exp, chosen, where, done, copies)
+
+
+def _columns_without_bookkeeping(folder: Path, exp: Experiment, where: str | None) -> list[str]:
+    empty = empty_rows(folder, exp)
+    conditions = [where, *(text for one in exp.study.expect for text in (one.where, one.that))]
+    named = {column for text in conditions if text for column in condition_columns(empty, text)}
+    return [c for c in empty.columns if c in named or c not in exp.system.bookkeeping_metrics]

@@ -52,7 +52,9 @@ def run(args: argparse.Namespace) -> int:
 
     if args.replays < 0:
         raise InputError(f"--replays = {args.replays} is not allowed: at least 0")
-    found, folder = results.read_results(args.dir, args.where), args.output or args.dir
+    # what is simulated again or compared with another run is compared in all columns
+    every = bool(args.b or args.replays or args.pictures)
+    found, folder = results.read_results(args.dir, args.where, with_bookkeeping=every), args.output or args.dir
     if args.b:
         return write_pairs_page(args, found, folder)
     columns = tuple(find_column(found.rows, name) for name in (args.x, args.y) if name)
