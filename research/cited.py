@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import headlines
 import hexagon_figures
 import validity_figures
-from robustness_figures import BOUNDS, bound, bounds_of, errors_of, rates
+from robustness_figures import bounds_of, errors_of, rates
 
 from sweep.analysis.intervals import wilson
 from sweep.core.errors import InputError
@@ -36,20 +36,6 @@ DOCS = RESEARCH.parent / "docs"
 DATA = RESEARCH / "data"
 ROBOT, GROUND = ("axis.size_error", 0.02), ("axis.ground_error", 0.01)  # of all sizes, which learning is to bear
 TOUCH_ALONE = ("ball_descend", "ball_to_ball")  # who start on a ball, where nobody can calibrate
-TOLERATED = {  # kinds of errors of `BOUNDS` that pages of manoeuvres show, and their names there
-    "axis.size_error": "robot's sizes and masses, %",
-    "axis.ground_error": "obstacle's sizes, %",
-    "axis.friction": "friction lower than believed, %",
-    "world.execution.torque_scale": "torque limit lower than believed, %",
-    "noise.position_noise": "noise of the measured position, mm",
-    "noise.joint_bias": "bias of every joint angle, mrad",
-    "noise.delay": "delay of all measurements, ms",
-}
-LEARNING = {
-    "believes": "no learning",
-    "calibrates": "calibration",
-    "learns": "learning",
-}  # robots of rates, in the guide
 TABLE = re.compile(r"(?:^\|.*\n)+", re.MULTILINE)
 FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 NUMBER = re.compile(r"\d+(?:[.,]\d+)*")
@@ -260,37 +246,6 @@ def bounds(_: str) -> str:
     return next(bounds_of(rates(DATA)))
 
 
-def tolerances(_: str, scenario: str) -> str:
-    """Return how large errors one manoeuvre tolerates: a line for each kind of error, a column for each kind of robot.
-
-    Args:
-        scenario: Name of the scenario, of which there are rates.
-
-    Returns:
-        The table in Markdown. `0.5 to 2`: at 0.5 at least 90 % succeed (lower 95 % bound), at 2 fewer do
-        (upper 95 % bound).
-    """
-    table = rates(DATA)
-    table = table[table["scenario"] == scenario]
-    robots = list(dict.fromkeys(table["robot"]))
-    lines = []
-    for axis, error in TOLERATED.items():
-        groups = [table[(table["axis"] == axis) & (table["robot"] == robot)] for robot in robots]
-        if any(len(group) for group in groups):
-            lines.append([error, *(tolerance(group, *BOUNDS[axis][2:]) if len(group) else "" for group in groups)])
-    return ruled(
-        [False] * (1 + len(robots)), ["largest tolerated error", *(LEARNING[robot] for robot in robots)], *lines
-    )
-
-
-def tolerance(group: pd.DataFrame, scale: float, nominal: float) -> str:
-    """Return `bound` as a range: `0.5 to 2`, `≥ 4` (the largest value tried), or `< 0.25` (the smallest)."""
-    least, _, most = (part.strip() for part in bound(group, scale, nominal).partition("…"))
-    if not float(least):
-        return f"< {most}" if most else "not known"
-    return f"{least} to {most}" if most else f"≥ {least}"
-
-
 def seen(_: str) -> str:
     """How large an error of rates, and of what is seen of free bodies, each manoeuvre bears."""
     return [*bounds_of(rates(DATA))][1]
@@ -433,7 +388,7 @@ def pages() -> Iterator[Path]:
 FORMS = {
     "rate": rate, "rollouts": rollouts, "causes": causes, "errors": errors, "along": along, "draws": draws,
     "groups": groups, "grid": grid, "cells": cells, "each": each, "bounds": bounds, "seen": seen, "borne": borne,
-    "tolerances": tolerances, "compared": compared, "table": table,
+    "compared": compared, "table": table,
     "halved": halved, "nominal": nominal, "learned": learned, "gained": gained, "metrics": metrics,
     "way_points": hexagon_figures.way_points, "changes": changes,
     **{name: partial(lambda table, of, *words: table(*map(read, of.split()), *words), table)
