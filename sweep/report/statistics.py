@@ -91,12 +91,15 @@ def statistics_sections(
             sensitivity.regional_sensitivity(rows, exp),
         )
         yield from _sensitivity_tables(rows, exp)
-    draws = number_distinct(draw_ids(rows, exp)).max(initial=-1) + 1
+    draws, omitted = number_distinct(draw_ids(rows, exp)).max(initial=-1) + 1, []
     for title, function in sensitivity_methods(exp, draws).items() if drawn else ():
         try:
             table = function(rows, exp, figure)
         except InputError as error:
-            yield title, str(error)
+            if figure or not listed:
+                yield title, str(error)
+            else:
+                omitted.append(title)
             continue
         if function is screening.rbd_fast_indices and table["error"].isna().all():
             table = (
@@ -104,6 +107,14 @@ def statistics_sections(
                 "and no Sobol sequence"
             )
         yield f"{title} of {figure or 'success'}", table
+    if omitted:
+        first = rows[listed[0].column].iloc[0]
+        condition = f"`{listed[0].column}` == {first!r}" if isinstance(first, str) else f"{listed[0].name} == {first:g}"
+        yield (
+            "Sensitivity indices of the draws",
+            f"{' and '.join(omitted)} describe the draws of one condition. Choose one, as in: "
+            f"sweep stats DIR --where '{condition}'",
+        )
 
 
 def _select_axes(table: pd.DataFrame, columns: list[str]) -> pd.DataFrame:
