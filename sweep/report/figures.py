@@ -26,6 +26,7 @@ from sweep.runs.results import Results
 from sweep.study.columns import metric_columns
 
 EFFECT_VALUES, EFFECT_BINS, HISTOGRAM_BINS, MAX_LINES, MAX_HISTOGRAMS = 50, 20, 30, 5, 12
+CLIPPED_RANGE_FACTOR = 0.5  # of the range between the 1st and 99th percentile: values farther beyond it are clipped
 MIN_GLYPH_SHARE = 0.02  # of the longest bar, and a part that is no longer has no room for a glyph
 MAX_REJECTED_P = 0.01  # p-value below which a fit is not drawn
 ROUNDING_TOLERANCE = 1e-12  # of a value: a difference that is no distribution
@@ -209,21 +210,51 @@ def _draw_causes(table: pd.DataFrame) -> Figure:
 
 
 def distributions_figure(results: Results) -> Iterator[StudyFigure]:
-    """Yield histograms of metrics; those with a threshold come first."""
-    names = metrics_with_threshold_first(results)[:MAX_HISTOGRAMS]
+    """Yield histograms of the metrics that tell failures from successes best."""
+    names = sorted(metrics_with_threshold_first(results), key=lambda c: -outcome_distance(results, c))[:MAX_HISTOGRAMS]
     if not names:
         return
-    tables = []
+    tables, clipped = [], []
     for name in names:
-        values = results.rows[name]
+        low, high = clipped_range(results.rows[name])
+        values = results.rows[name].clip(low, high)
+        if low > results.rows[name].min() or high < results.rows[name].max():
+            clipped.append(axis_words(name))
         edges = _bin_edges(values[np.isfinite(values)])
         for outcome, part in values.groupby(results.rows["outcome"]):
             number, _ = np.histogram(part[np.isfinite(part)], edges)
             bins = {"from": edges[:-1], "to": edges[1:], "rollouts": number}
             tables.append(pd.DataFrame({"figure": name, "outcome": outcome, **bins}))
     data = pd.concat(tables, ignore_index=True)
-    caption = "Distributions of metrics. The dashed line is the threshold beyond which a rollout fails or is invalid."
+    caption = (
+        "Distributions of metrics, first those that tell failures from successes best. The dashed line is the "
+        "threshold beyond which a rollout fails or is invalid."
+    )
+    if clipped:
+        caption += (
+            f" The outermost bars also count the values beyond the 1st or 99th percentile of {', '.join(clipped)}."
+        )
     yield StudyFigure("distributions", "Distributions", caption, data, lambda: _draw_distributions(results, data))
+
+
+def outcome_distance(results: Results, column: str) -> float:
+    """Kolmogorov-Smirnov distance between a metric's values of failures and of successes; 0 without either."""
+    values, outcome = results.rows[column].to_numpy(dtype=float), results.rows["outcome"].to_numpy()
+    failed, succeeded = (np.sort(values[(outcome == one) & np.isfinite(values)]) for one in ("failure", "success"))
+    if not len(failed) or not len(succeeded):
+        return 0.0
+    every = np.concatenate([failed, succeeded])
+    shares = (np.searchsorted(part, every, side="right") / len(part) for part in (failed, succeeded))
+    return float(np.abs(np.subtract(*shares)).max())
+
+
+def clipped_range(values: pd.Series) -> tuple[float, float]:
+    """Range of a histogram: all finite values, or those between the 1st and 99th percentile if the others would crush
+    it."""
+    finite = values[np.isfinite(values)].to_numpy(dtype=float)
+    low, first, last, high = np.quantile(finite, [0, 0.01, 0.99, 1], method="nearest")
+    room = CLIPPED_RANGE_FACTOR * (last - first)
+    return float(first if first - low > room else low), float(last if high - last > room else high)
 
 
 def _bin_edges(values: pd.Series) -> np.ndarray:

@@ -133,11 +133,8 @@ PAIR_STYLES = family_styles(  # of the same point in two studies
     invalid_in_one=("#8A8C92", star(6, 0.3)),
 )
 UNKNOWN_KIND_STYLE = family_styles("", other=("#7F7F7F", dome(-90)))["other"]  # of a kind that is not known
-FAILURE_COLOUR, INVALID_CELL_COLOUR, DARK_INK = (
-    OUTCOME_STYLES["fell"].colour,
-    "#FFFFFF",
-    "#1C2024",
-)  # of all failures together; cells of doubts; glyphs
+FAILURE_COLOUR = "#3F444A"  # of all failures together: that of no cause
+INVALID_CELL_COLOUR, DARK_INK = "#FFFFFF", "#1C2024"  # cells of doubts; glyphs
 INVALID_MARK_COLOUR = "#8A8C92"
 SUCCESS_COLOUR = OUTCOME_STYLES[SUCCESS].colour
 

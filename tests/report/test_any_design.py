@@ -7,7 +7,7 @@ from fake_engine import FakeEngine
 
 from sweep.cli.commands.report import save_pictures
 from sweep.cli.main import main
-from sweep.report import draws, figures, maps, sections
+from sweep.report import draws, figures, maps, sections, statistics
 from sweep.report.page import data
 from sweep.runs import results
 
@@ -178,6 +178,25 @@ def test_every_command_ends_well(design, fake_engine, tmp_path, monkeypatch):
     ran(tmp_path / "study", *(of_points(design, tmp_path) if design in POINTS else DESIGNS[design]))
     for name, *more in COMMANDS:
         assert main([name, "study", *more]) == 0, name
+
+
+def test_sensitivity_indices_of_draws_at_several_conditions_say_how_to_get_them(fake_engine, tmp_path):
+    ran(tmp_path, *DESIGNS["listed_by_400_drawn"])
+    found = dict(statistics.labelled_sections(results.read_results(tmp_path)))
+    assert "sweep stats DIR --where 'step == 0.05'" in found["Sensitivity indices of the draws"]
+    assert not any("grid point" in content for content in found.values() if isinstance(content, str))
+
+
+def test_distributions_show_first_what_tells_failures_from_successes_without_outliers(fake_engine, tmp_path):
+    ran(tmp_path, *DESIGNS["drawn_400"])
+    found = results.read_results(tmp_path)
+    found.rows["tilt_max_deg"] = np.where(found.rows["outcome"] == "success", 1.0, 40.0)
+    found.rows.loc[0, "slip_max_m"] = 1e6
+    (shown,) = figures.distributions_figure(found)
+    assert shown.data["figure"].iloc[0] == "tilt_max_deg"
+    assert shown.data.loc[shown.data["figure"] == "slip_max_m", "to"].max() < 10
+    assert "slip max" in shown.caption
+    assert shown.data.groupby("figure")["rollouts"].sum().eq(len(found.rows)).all()
 
 
 def test_single_rollouts_of_one_axis_at_a_time_have_no_interval_and_counts_are_whole(fake_engine, tmp_path, capsys):

@@ -194,7 +194,8 @@ def test_replays_are_typical_then_at_the_boundary_then_extreme(folder):
     found = results.read_results(folder)
     found = replace(found, rows=found.rows.assign(duration_s=5.0))
     rows = replay_selection.choose_replays(found, 12)
-    assert rows["why"].iloc[:3].tolist() == ["typical of fell", "typical of not finite", "typical of success"]
+    assert [why for why in rows["why"] if why.startswith("typical")] == [
+        "typical of success", "typical of fell", "typical of not finite"]  # fmt: skip
     pair = rows[rows["why"].str.startswith("next to the boundary")].iloc[:2]
     assert set(pair["outcome"]) == {"success", "failure"}
     assert rows["why"].str.startswith("largest").any()

@@ -563,6 +563,41 @@ def test_axes_of_a_margin_are_bent_about_zero(shown):
     assert {0, -0.1, 0.1, -1, 1} <= set(found[2])
 
 
+def test_the_ticks_of_a_margin_reach_both_ends(shown):
+    low, high = -6.0, 0.67
+    text = f"return axisTicks({{ low: {low}, high: {high}, diverges: true }}, undefined, 8)"
+    found = by_script(shown, {}, text)
+    assert found == sorted(found)
+    assert found[0] == -5
+    assert found[-1] == 0.5
+    assert 0 in found
+
+
+def test_numbers_along_an_axis_differ_and_rounding_is_no_range(shown):
+    text = """const same = { low: 0.8134, high: 0.8134 * (1 + 1e-12), diverges: false };
+        return [formatApart([0.1, 0.10001, 0.10002]), axisMapping(same).to(same.high)]"""
+    words, middle_share = by_script(shown, {}, text)
+    assert words == ["0.1", "0.10001", "0.10002"]
+    assert middle_share == 0.5
+
+
+def test_a_histogram_is_not_crushed_by_outliers(shown):
+    text = """const values = Float64Array.from({ length: 1001 }, (_, k) => (k === 1000 ? 1e6 : k / 1000));
+        const column = { values, low: 0, high: 1e6 }, order = Uint32Array.from(values.keys());
+        return clippedRange(order, column)"""
+    low, high = by_script(shown, {}, text)
+    assert low == 0
+    assert 0.98 < high < 1
+
+
+def test_a_screen_reader_hears_the_parts_of_a_description_apart(shown):
+    shown.run("document.querySelector('#map-over').focus()")
+    shown.key("ArrowRight")
+    told = shown.run("document.querySelector('#told').textContent")
+    parts = shown.run("[...document.querySelectorAll('#map-tip dt, #map-tip dd')].map((one) => one.textContent)")
+    assert ", ".join(f"{name} {value}" for name, value in zip(parts[::2], parts[1::2], strict=True)) in told
+
+
 def test_where_a_margin_is_zero_there_is_a_line(gridded, uneven):
     """Along a linear figure to the last bits; on a page between the cells of both signs, and nowhere else."""
     pieces = by_script(

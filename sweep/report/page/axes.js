@@ -1,5 +1,14 @@
 // Axes of charts: conversion between values and pixels, ticks and titles.
-import { asinhLike, clamp, cellEdges, lastIndexBelow, formatShort, ticks, inverseAsinhLike } from "./numbers.js";
+import {
+  asinhLike,
+  clamp,
+  cellEdges,
+  formatApart,
+  isRoundingRange,
+  lastIndexBelow,
+  ticks,
+  inverseAsinhLike,
+} from "./numbers.js";
 
 /** @import { Column } from "./data.js" */
 /** @import { Sheet, Theme } from "./dom.js" */
@@ -36,7 +45,8 @@ export function makeScale(column, cells, room) {
   }
   if (!cells && column.diverges) return asinhScale(column, room);
   if (!cells) {
-    const margin = 0.03 * (column.high - column.low) || 0.5;
+    const same = isRoundingRange(column.low, column.high);
+    const margin = same ? 0.5 * Math.abs(column.high) || 0.5 : 0.03 * (column.high - column.low);
     const low = column.low >= 0 ? Math.max(0, column.low - margin) : column.low - margin;
     return linearScale(low, column.high + margin, labelledTicks(low, column.high + margin, room), null);
   }
@@ -45,9 +55,7 @@ export function makeScale(column, cells, room) {
     const edges = cellEdges(cells);
     const [low, high] = [edges[0], edges[edges.length - 1]];
     const few = cells.length <= room / 1.5;
-    const marks = few
-      ? Array.from(cells, (value) => ({ value, text: formatShort(value) }))
-      : labelledTicks(low, high, room);
+    const marks = few ? labelledValues(Array.from(cells)) : labelledTicks(low, high, room);
     return linearScale(low, high, marks, cells);
   }
   return equalCellScale(cells, room);
@@ -55,7 +63,13 @@ export function makeScale(column, cells, room) {
 
 /** @type {(low: number, high: number, room: number) => Mark[]} */
 function labelledTicks(low, high, room) {
-  return ticks(low, high, room).map((value) => ({ value, text: formatShort(value) }));
+  return labelledValues(ticks(low, high, room));
+}
+
+/** @type {(values: number[]) => Mark[]} */
+function labelledValues(values) {
+  const texts = formatApart(values);
+  return values.map((value, k) => ({ value, text: texts[k] }));
 }
 
 /** @type {(low: number, high: number, marks: Mark[], cells: Float64Array | null) => Scale} */
@@ -73,7 +87,7 @@ function linearScale(low, high, marks, cells) {
 function asinhScale({ low, high }, room) {
   const [first, last] = [asinhLike(low) - 0.1, asinhLike(high) + 0.1];
   const to = (/** @type {number} */ value) => (asinhLike(value) - first) / (last - first);
-  const marks = asinhTicks(low, high, room).map((value) => ({ value, text: formatShort(value) }));
+  const marks = labelledValues(asinhTicks(low, high, room));
   return {
     to,
     back: (share) => inverseAsinhLike(first + share * (last - first)),
@@ -84,14 +98,25 @@ function asinhScale({ low, high }, room) {
 }
 
 /**
- * Ticks at zero and at powers of ten on both sides.
+ * Ticks at zero, then at the outermost round numbers on both sides, then at powers of ten and other round numbers as far
+ * as there is room between them.
  * @type {(low: number, high: number, room: number) => number[]}
  */
 function asinhTicks(low, high, room) {
   const size = Math.max(-low, high);
-  const powers = Array.from({ length: Math.max(1, Math.ceil(Math.log10(size / 0.1)) + 1) }, (_, k) => 10 ** (k - 1));
-  const every = Math.max(1, Math.ceil((2 * powers.length) / room));
-  return [0, ...powers.filter((_, k) => k % every === 0).flatMap((power) => [-power, power])];
+  const count = Math.max(1, Math.ceil(Math.log10(size / 0.1)) + 1);
+  const powers = Array.from({ length: count }, (_, k) => 10 ** (k - 1));
+  const within = (/** @type {number} */ value) => value >= low && value <= high;
+  const signed = (/** @type {number[]} */ sizes) => sizes.flatMap((value) => [-value, value]).filter(within);
+  const round = signed(powers.flatMap((power) => [power, 2 * power, 5 * power]));
+  const outermost = round.length ? [Math.min(...round), Math.max(...round)] : [];
+  const least = (asinhLike(high) - asinhLike(low)) / (1.5 * room);
+  const apart = (/** @type {number} */ a, /** @type {number} */ b) => Math.abs(asinhLike(a) - asinhLike(b)) >= least;
+  /** @type {number[]} */
+  const found = [];
+  for (const value of [0, ...outermost, ...signed(powers).reverse(), ...round])
+    if ((value === 0 || within(value)) && found.every((other) => apart(value, other))) found.push(value);
+  return found.sort((a, b) => a - b);
 }
 
 /** @typedef {"inverted" | "log"} Way of an axis that is not upright, or not even */
@@ -103,7 +128,7 @@ function asinhTicks(low, high, room) {
  * @type {(column: Column, way?: Way) => Along}
  */
 export function axisMapping({ low, high, diverges }, way) {
-  if (!(high > low)) return { to: () => 0.5, back: () => low };
+  if (isRoundingRange(low, high)) return { to: () => 0.5, back: () => low };
   const [on, off] = way === "log" ? [Math.log, Math.exp] : diverges ? [asinhLike, inverseAsinhLike] : [Number, Number];
   const [first, last] = way === "inverted" ? [high, low] : [low, high];
   const [start, size] = [on(first), on(last) - on(first)];
@@ -171,7 +196,7 @@ export function equalCellScale(cells, room) {
     return cells[k] + (place - k) * (cells[k + 1] - cells[k]);
   };
   const every = Math.max(1, Math.ceil(count / room));
-  const marks = Array.from(cells, (value) => ({ value, text: formatShort(value) })).filter((_, k) => k % every === 0);
+  const marks = labelledValues(Array.from(cells)).filter((_, k) => k % every === 0);
   const edges = Float64Array.from({ length: count + 1 }, (_, k) => k / count);
   return { to, back, ticks: marks, edges, cells };
 }

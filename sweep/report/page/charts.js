@@ -1,6 +1,6 @@
 // Smaller charts of the rows that pass the filters: causes, importance of parameters, distributions, rates, pairs.
 import { axisMapping, drawFrame, makeScale, equalCellScale, wholeCells } from "./axes.js";
-import { binRows, clipName, distributionDistance, gridValues, kolmogorovSmirnov } from "./data.js";
+import { binRows, clipName, clippedRange, distributionDistance, gridValues, kolmogorovSmirnov } from "./data.js";
 import {
   byId,
   cssColour,
@@ -255,7 +255,7 @@ export function distributionsView(app) {
   const more = byId("distributions-more");
   let shown = SHOWN_DISTRIBUTIONS;
   /** @typedef {Pick<Scale, "to" | "back" | "edges">} Across */
-  /** @type {{ canvas: HTMLCanvasElement, column: Column, many: number, bins: Uint8Array, across: Across }[]} */
+  /** @type {{ canvas: HTMLCanvasElement, column: Column, ends: number[], many: number, bins: Uint8Array, across: Across }[]} */
   let panels = [];
   const fill = () => {
     panels = columns.slice(0, shown).map((column) => {
@@ -263,10 +263,13 @@ export function distributionsView(app) {
       const canvas = element("canvas", { class: "small", role: "img", "aria-label": label });
       const grid = gridValues(column) ?? []; // one bin for each value, all of equal width
       const listed = grid.length > 1 && grid.length <= LISTED;
-      const across = listed ? equalCellScale(Float64Array.from(grid), 1) : { ...axisMapping(column), edges: null };
+      const [low, high] = listed ? [column.low, column.high] : clippedRange(app.order(column), column);
+      const { to, back } = axisMapping({ ...column, low, high });
+      const whole = (/** @type {number} */ share) => (share <= 0 ? column.low : share >= 1 ? column.high : back(share));
+      const across = listed ? equalCellScale(Float64Array.from(grid), 1) : { to, back: whole, edges: null };
       const number = listed ? grid.length : many;
       brushed(canvas, column, across);
-      return { canvas, column, many: number, bins: binRows(column, number, across.to), across };
+      return { canvas, column, ends: [low, high], many: number, bins: binRows(column, number, across.to), across };
     });
     root.replaceChildren(...panels.map(({ canvas }) => canvas));
     more.hidden = shown >= columns.length;
@@ -305,9 +308,8 @@ export function distributionsView(app) {
   const draw = () => {
     const sides = makeOutcomeSide(app);
     const { ink, soft, line, accent } = app.theme();
-    const { success, failure } = table.about.colours;
-    const colours = [success, failure];
-    for (const { canvas, column, many, bins, across } of panels) {
+    const colours = [table.about.colours.success, ink]; // no cause's colour, as failures are of all causes
+    for (const { canvas, column, ends, many, bins, across } of panels) {
       const { pen, width, height } = prepareCanvas(canvas);
       const counts = [new Float64Array(many), new Float64Array(many)];
       for (let row = 0; row < table.rows; row++) {
@@ -357,9 +359,9 @@ export function distributionsView(app) {
       pen.fillStyle = soft;
       pen.textBaseline = "top";
       pen.textAlign = "left";
-      pen.fillText(formatShort(column.low), left, bottom + 4);
+      pen.fillText(`${ends[0] > column.low ? "≤ " : ""}${formatShort(ends[0])}`, left, bottom + 4);
       pen.textAlign = "right";
-      pen.fillText(formatShort(column.high), left + wide, bottom + 4);
+      pen.fillText(`${ends[1] < column.high ? "≥ " : ""}${formatShort(ends[1])}`, left + wide, bottom + 4);
       pen.fillStyle = ink;
       pen.textAlign = "center";
       pen.fillText(column.title, width / 2, bottom + 18, width - 4);

@@ -161,6 +161,7 @@ import { clamp } from "./numbers.js";
  */
 
 const MISSING = 65535;
+const CLIPPED_FACTOR = 0.5; // of the range between the 1st and 99th percentile: values farther beyond it are clipped
 export const NAME_LENGTH = 120; // characters of a name that are shown
 
 /**
@@ -402,4 +403,16 @@ export function gridValues(column) {
  */
 export function sortedValues({ values }) {
   return [...new Set(values)].filter((value) => !Number.isNaN(value)).sort((a, b) => a - b);
+}
+
+/**
+ * Range of a histogram: all values, or those between the 1st and 99th percentile if the others would crush it.
+ * @type {(order: Uint32Array, column: Column) => [number, number]}
+ */
+export function clippedRange(order, { values, low, high }) {
+  if (!order.length) return [low, high];
+  const at = (/** @type {number} */ share) => values[order[Math.round(share * (order.length - 1))]];
+  const [first, last] = [at(0.01), at(0.99)];
+  const room = CLIPPED_FACTOR * (last - first);
+  return [first - low > room ? first : low, high - last > room ? last : high];
 }

@@ -3,9 +3,19 @@ import { drawFrame, wholeCells } from "./axes.js";
 import { placeRows } from "./cells.js";
 import { clipName, inflate, readCounts, sortedValues } from "./data.js";
 import { byId, element, fillSelect, columnOptions, pointerPosition, prepareCanvas } from "./dom.js";
-import { KIND, markSize, paintCells, paintDensity, paintMarks, RATE, colourRange, rowPosition } from "./map_fill.js";
+import {
+  GLYPHED,
+  KIND,
+  markSize,
+  paintCells,
+  paintDensity,
+  paintMarks,
+  RATE,
+  colourRange,
+  rowPosition,
+} from "./map_fill.js";
 import { clamp, formatCount, packRgb, scaleColour, formatShort } from "./numbers.js";
-import { rowNear, makePixels } from "./raster.js";
+import { GLYPH_SIZE, rowNear, makePixels } from "./raster.js";
 import { drawContour, drawOutlines, drawRing, drawAnalyticLimits, drawZeroMargin } from "./map_overlays.js";
 import { setRange, clearFilters } from "./selection.js";
 
@@ -134,7 +144,7 @@ export function mapView(app) {
     const coloured = table.named.get(selects[2].value);
     if (coloured?.diverges && !x.names && !y.names) drawContour(app, sheet.pen, here, coloured, area);
     drawReplayed(sheet.pen, here, area);
-    drawFrame(sheet, app.theme(), area, { scale: here.x, title: x.title }, { scale: here.y, title: y.title });
+    drawFrame(sheet, app.theme(), area, { scale: here.x, title: axisTitle(x) }, { scale: here.y, title: axisTitle(y) });
     drawKey();
     drawOver();
     app.drawnAs(density && !filtered ? "cells" : here.form);
@@ -185,10 +195,10 @@ export function mapView(app) {
    */
   const drawReplayed = (pen, here, area) => {
     const done = new Set();
-    const size = here.form === "marks" ? markSize(here) + 2.6 : 3.2;
     here.rows.forEach((row, k) => {
       if (!table.replayed.has(row) || done.has(row) || !state.mask[row]) return;
       done.add(row);
+      const size = here.form === "marks" ? markSize(here) + 2.6 : ringSize(here, k, area);
       drawRing(app, pen, rowPosition(here, k, area), size, app.theme().ink, [3.4, 1.3]);
     });
   };
@@ -309,7 +319,7 @@ export function mapView(app) {
       } else anchor = null;
       show(row);
       drawOver();
-      app.tell(tip.textContent ?? "");
+      app.tell(spokenText(tip));
     } else if ((event.key === "Enter" || event.key === " ") && state.cursor >= 0) app.choose(state.cursor);
     else if (event.key === "Escape") {
       clearFilters(state);
@@ -356,6 +366,37 @@ export function mapView(app) {
     point: drawOver,
     resized: () => (places = null),
   };
+}
+
+/**
+ * Title of an axis with its unit, and its scale unless that is linear.
+ * @type {(column: Column) => string}
+ */
+function axisTitle({ title, names, diverges }) {
+  return diverges && !names ? `${title} (symlog)` : title;
+}
+
+/**
+ * Radius of a ring in a cell: around the glyph of the cause where the cell has one.
+ * @type {(here: PlacedRows, k: number, area: Box) => number}
+ */
+function ringSize({ boxes }, k, area) {
+  const width = (boxes[4 * k + 2] - boxes[4 * k]) * area.width;
+  const height = (boxes[4 * k + 3] - boxes[4 * k + 1]) * area.height;
+  const least = Math.min(width, height);
+  return least < GLYPHED ? 3.2 : Math.min(GLYPH_SIZE + 3, least / 2 - 1);
+}
+
+/**
+ * Text of a description for a screen reader: its parts apart, each name with its value.
+ * @type {(tip: Element) => string}
+ */
+export function spokenText(tip) {
+  const parts = [...tip.querySelectorAll("strong, dt, span")].map((part) => {
+    const value = part.matches("dt") ? ` ${part.nextElementSibling?.textContent ?? ""}` : "";
+    return `${part.textContent}${value}`;
+  });
+  return parts.join(", ");
 }
 
 /**

@@ -11,7 +11,8 @@ import { fillCell, makeGlyph, paintKind, drawStamp, makeStamp } from "./raster.j
 
 export const KIND = "kind";
 export const RATE = "rate";
-const [GAPPED, GLYPHED] = [6, 13]; // CSS pixels of a cell from which it has a gap, from which it has a glyph
+const GAPPED = 6; // CSS pixels of a cell from which it has a gap
+export const GLYPHED = 13; // CSS pixels of a cell from which it has a glyph
 const FADED_SHARE = 0.86; // by which rows that do not pass the filters fade
 
 /**

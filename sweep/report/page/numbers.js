@@ -1,5 +1,7 @@
 // Numbers as text, ticks of axes, and colours of values.
 
+const ROUNDING = 1e-9; // of a value: a smaller range is no difference between rollouts
+
 /**
  * Format a number with four digits.
  * @type {(value: number) => string}
@@ -9,6 +11,25 @@ export function formatShort(value) {
   const size = Math.abs(value);
   if (size !== 0 && (size >= 1e6 || size < 1e-4)) return value.toExponential(2).replace("e+", "e");
   return String(Number(value.toPrecision(4)));
+}
+
+/**
+ * Format the numbers of an axis with as many digits as tell them apart, four at least.
+ * @type {(values: number[]) => string[]}
+ */
+export function formatApart(values) {
+  const short = values.map(formatShort);
+  for (let digits = 5; digits <= 15 && new Set(short).size < new Set(values).size; digits++)
+    values.forEach((value, k) => (short[k] = String(Number(value.toPrecision(digits)))));
+  return short;
+}
+
+/**
+ * Whether a range is the rounding error of one value.
+ * @type {(low: number, high: number) => boolean}
+ */
+export function isRoundingRange(low, high) {
+  return !(high - low > ROUNDING * Math.max(Math.abs(low), Math.abs(high)));
 }
 
 /**

@@ -20,7 +20,7 @@ export function makePixels(width, height) {
   return { width: image.width, height: image.height, colours: new Uint32Array(image.data.buffer), owner, image };
 }
 
-const GLYPH_SIZE = 3.8; // CSS pixels for a glyph's radius of one
+export const GLYPH_SIZE = 3.8; // CSS pixels for a glyph's radius of one
 
 const TILE = 8;
 

@@ -34,9 +34,10 @@ export function drawStages(app, canvas, reel, time, total) {
     if (pen.measureText(name).width < right - left - 8) pen.fillText(name, left + 4, height / 2);
   }
   const row = replays[reel.number].row;
+  const kind = table.about.kinds.find(({ key }) => key === replays[reel.number].kind);
   const cause = table.named.get("t_cause_s")?.values[row];
   if (cause !== undefined && Number.isFinite(cause)) {
-    pen.fillStyle = table.about.colours.failure;
+    pen.fillStyle = kind?.colour ?? table.about.colours.failure;
     pen.fillRect(xOf(cause) - 1.5, 0, 3, height);
   }
   pen.fillStyle = ink;
