@@ -22,7 +22,7 @@ from sweep.backends import devices
 from sweep.cli.main import main as sweep
 from sweep.core import provenance
 from sweep.core.files import write_atomically
-from sweep.systems.mujoco_model import kernel_engine, nominal
+from sweep.systems.mujoco_model import build_nominal, kernel_engine
 from sweep.systems.mujoco_model.model_spec import SideValues
 
 DATA = Path(__file__).parents[1] / "research/data/own_kernel.json"
@@ -42,7 +42,9 @@ def make_engine(name: str, model: dict[str, Any], width: int) -> Any:
     """Make an engine of a model."""
     settings = {"name": name, "width": width, "cross_check": False}
     about = {"period": 0.02, "duration": 1.0, **model}
-    system, settings, *_ = nominal({"model": about, "engine": settings, "outcome": {"fell": "tilt_max_deg > 60"}}, {})
+    system, settings, *_ = build_nominal(
+        {"model": about, "engine": settings, "outcome": {"fell": "tilt_max_deg > 60"}}, {}
+    )
     return system.make_engine(settings, *system.make_sides({}), limits=None)
 
 
@@ -88,7 +90,7 @@ def compare_robots(width: int, again: int) -> Iterator[list[str]]:
         yield [
             robot,
             str(engine._model.njnt - 1),
-            f"{engine.agreement.largest:.0e}",
+            f"{engine.c_mujoco_agreement.largest:.0e}",
             f"{speed / 1e6:.0f}" if speed > 1e7 else f"{speed / 1e6:.2f}",
             f"{first:.1f}",
             f"{np.median(apart):.1g}, {np.quantile(apart, 0.9):.1g}",

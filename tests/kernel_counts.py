@@ -31,7 +31,7 @@ from sweep.config.experiment import compose
 from sweep.engines.closed_loop import classify_sensing
 from sweep.engines.mjx import MjxEngine
 from sweep.fused import cuda, launch
-from sweep.systems.mujoco_model import nominal
+from sweep.systems.mujoco_model import build_nominal
 from sweep.systems.mujoco_model.kernel_engine import KernelModelEngine
 from sweep.systems.mujoco_model.model_spec import SideValues
 
@@ -75,7 +75,7 @@ def model_printer(name: str) -> tuple[launch.TracedProgram, cuda.GpuPrinter]:
             "engine": {"name": "kernel", "width": WIDTH},
             "outcome": {"fell": "tilt_max_deg > 60"},
         }
-        system, settings, *_ = nominal(values, {})
+        system, settings, *_ = build_nominal(values, {})
         engine = system.make_engine(settings, *system.make_sides({}), limits=None)
         assert isinstance(engine, KernelModelEngine)
         world = SideValues(tuple((path, np.ones(2)) for path in varied))

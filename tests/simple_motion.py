@@ -14,7 +14,7 @@ from sweep.core.metric import Metric, compute_columns
 from sweep.metrics.tick import MetricTick, RolloutEnd, RolloutStart
 from sweep.models.obstacles.surface import body_poses, no_free_bodies
 from sweep.models.robot import total_mass
-from sweep.systems.mujoco_model.tick import ModelParts, ModelRollout, ModelStart, ModelTick
+from sweep.systems.mujoco_model.tick import ModelPartIndices, ModelRollout, ModelStart, ModelTick
 
 CASE = compose(["scenario=walk_tripod"]).case
 MASS = float(total_mass(CASE.robot))  # kg, of both
@@ -100,7 +100,7 @@ def model_columns(
         model=MODEL, base_address=0, config=SimpleNamespace(direction=(1.0, 0.0, 0.0), terrain=None),
         touch_sensors=lambda key: [0] if key == "feet" else [],
     )  # fmt: skip
-    parts, count = ModelParts(spec), len(motion.position)
+    parts, count = ModelPartIndices(spec), len(motion.position)
     knee, none = motion.joint_rate[:, None], np.zeros((count, 1))
     recorded = {
         "qpos": np.concatenate([motion.position, motion.quat, none], axis=1),

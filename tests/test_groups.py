@@ -27,10 +27,10 @@ def written(values):
 def test_a_group_sets_or_multiplies_the_numbers_that_its_pattern_fits():
     group, single = "model.joint.{lf,rh}_*.damping", "model.joint.lf_hip.damping"
     assert fields.group_members(MODEL, group) == [f"model.joint.{one}.damping" for one in JOINTS if one[:2] in "lf rh"]
-    assert fields.parameter(MODEL, group).default == 0.2
-    assert fields.parameter(MODEL, group).metadata["unit"] == "6 numbers"
-    assert fields.parameter(MODEL, "model.geom.*_foot.friction.slide").metadata["unit"] == "4 numbers"
-    assert fields.parameter(MODEL, "model.body.*_hip.mass").metadata["unit"] == "kg, 4 numbers"
+    assert fields.parameter_field(MODEL, group).default == 0.2
+    assert fields.parameter_field(MODEL, group).metadata["unit"] == "6 numbers"
+    assert fields.parameter_field(MODEL, "model.geom.*_foot.friction.slide").metadata["unit"] == "4 numbers"
+    assert fields.parameter_field(MODEL, "model.body.*_hip.mass").metadata["unit"] == "kg, 4 numbers"
     for path, values, expected in (
         (group, [0.3, 0.5], [0.3, 0.5]),
         (f"{group}.relative", [1.0, 2.0], [0.2, 0.4]),
@@ -44,10 +44,10 @@ def test_a_group_sets_or_multiplies_the_numbers_that_its_pattern_fits():
 
 def test_numbers_of_a_group_that_differ_are_multiplied_only():
     with pytest.raises(InputError, match=r"no nominal value, \d+ numbers from 0.2 to 8 differ: multiply them by"):
-        fields.parameter(MODEL, "model.body.*.mass")
+        fields.parameter_field(MODEL, "model.body.*.mass")
     with pytest.raises(InputError, match="names nothing: no joint fits toe_"):
-        fields.parameter(MODEL, "model.joint.toe_*.damping")
-    assert fields.parameter(MODEL, "model.body.*.mass.relative").default == 1.0
+        fields.parameter_field(MODEL, "model.joint.toe_*.damping")
+    assert fields.parameter_field(MODEL, "model.body.*.mass.relative").default == 1.0
 
 
 def test_strength_multiplies_the_force_of_actuators_at_and_below_their_limit():

@@ -13,7 +13,7 @@ import sweep
 from sweep.cli.main import main
 from sweep.core.errors import InputError
 from sweep.fused import eager
-from sweep.systems.mujoco_model import kernel_engine, nominal
+from sweep.systems.mujoco_model import build_nominal, kernel_engine
 from sweep.systems.mujoco_model.kernel import agreement, guard
 from sweep.systems.mujoco_model.kernel.layout import find_layout
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
@@ -140,7 +140,7 @@ def test_touches_that_it_does_not_simulate_are_never_missed():
     )
     model = mujoco.MjModel.from_xml_string(text.replace('contype="0"', 'contype="1"'))
     layout, data = find_layout(model), mujoco.MjData(model)
-    pairs, numbers, rng = guard.find_pairs(model), ModelNumbers(model, {}, {}), np.random.default_rng(0)
+    pairs, numbers, rng = guard.find_unsimulated_pairs(model), ModelNumbers(model, {}, {}), np.random.default_rng(0)
     rows, distances = [], []
     for k in range(150):
         mujoco.mj_resetData(model, data)
@@ -151,7 +151,7 @@ def test_touches_that_it_does_not_simulate_are_never_missed():
 
     def look(qpos, qvel):
         state = read_state(layout, model, qpos, qvel, qvel)
-        return guard.is_near(layout, numbers, state, compute_smooth(layout, numbers, state), pairs)
+        return guard.has_near_pair(layout, numbers, state, compute_smooth(layout, numbers, state), pairs)
 
     with jax.enable_x64(True):
         shapes = [jax.ShapeDtypeStruct((size,), np.float64) for size in (model.nq, model.nv)]
@@ -182,7 +182,7 @@ def test_programs_are_stored_by_structure_and_constants_but_not_by_varied_number
             "engine": {"name": "kernel", "cross_check": False},
             "outcome": {"fell": "energy_j < -1"},
         }
-        system, settings, *_ = nominal(values, {})
+        system, settings, *_ = build_nominal(values, {})
         engine = system.make_engine(settings, *system.make_sides({}), limits=None)
         world = SideValues(tuple((path, np.full(2, value)) for path in paths))
         engine.run(world, SideValues(), np.arange(2))

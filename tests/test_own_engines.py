@@ -169,7 +169,7 @@ def test_how_it_is_simulated_is_an_axis(here):
         assert [one.partition("_")[2] for one in kinds.__members__] == [
             word.upper() for word in fields.ENUM_OPTIONS[name]
         ]
-    changed = fields.with_options(model, {"model.option.cone": "pyramidal", "model.option.timestep": 0.004})
+    changed = fields.with_scalar_options(model, {"model.option.cone": "pyramidal", "model.option.timestep": 0.004})
     assert (changed.opt.cone, changed.opt.timestep, model.opt.timestep) == (0, 0.004, 0.001)
 
 

@@ -122,7 +122,7 @@ def test_models_that_are_compiled_anew_are_what_mujoco_makes_of_their_numbers(he
     model = spec.copy().compile()
     batch = Batch(model, 3)
     fields.write_values(
-        batch, {p: np.array([v, v, fields.parameter(model, p).default]) for p, v in WIDER.items()}, lambda: spec
+        batch, {p: np.array([v, v, fields.parameter_field(model, p).default]) for p, v in WIDER.items()}, lambda: spec
     )
     spec = spec.copy()
     spec.geom("trunk").size[0], spec.geom("trunk").mass = 0.3, 9.0
@@ -142,7 +142,7 @@ def test_models_that_are_compiled_anew_are_what_mujoco_makes_of_their_numbers(he
         mujoco.mj_step(other, data, 100)
         np.testing.assert_allclose(batch.bind("qpos")[row], data.qpos, atol=1e-6)
     for path in WIDER:
-        np.testing.assert_allclose(fields.parameter(changed, path).default, WIDER[path], rtol=1e-6, err_msg=path)
+        np.testing.assert_allclose(fields.parameter_field(changed, path).default, WIDER[path], rtol=1e-6, err_msg=path)
 
 
 ALL = """<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1"/>
@@ -172,7 +172,7 @@ def test_every_field_of_a_batch_is_a_path_or_has_a_reason_why_not():
             size = usual.size if thing == "model.option" else usual[0].size
             names = one.component_names or (fields.XYZ if one.needs_compiler else [*map(str, range(size))])
             path = f"{thing}.{name}" + (f".{names[size - 1]}" if size > 1 else "")
-            nominal, batch = fields.parameter(model, path).default, Batch(model, 2)
+            nominal, batch = fields.parameter_field(model, path).default, Batch(model, 2)
             fields.write_values(batch, {path: np.array([nominal, nominal + 0.25])}, lambda: spec)
             same, other = (fields.field_values(batch.get_model(k), one.field) for k in (0, 1))
             np.testing.assert_array_equal(same, usual, err_msg=path)

@@ -197,8 +197,8 @@ def test_fields_are_what_a_model_that_is_compiled_with_them_has(here):
     spec.option.gravity[2] = -3.7
     other = spec.compile()
     for path, value in wanted.items():
-        assert fields.parameter(other, path).default == pytest.approx(value)
-        assert fields.parameter(model, path).default != pytest.approx(value)
+        assert fields.parameter_field(other, path).default == pytest.approx(value)
+        assert fields.parameter_field(model, path).default != pytest.approx(value)
     batch = Batch(model, 2)
     fields.write_values(batch, {path: np.full(2, value) for path, value in wanted.items()}, lambda: spec)
     batch.reset(keyframe=0)

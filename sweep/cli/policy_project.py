@@ -7,7 +7,7 @@ import numpy as np
 
 from sweep.core.errors import InputError, require_choice
 from sweep.systems.mujoco_model import files
-from sweep.systems.mujoco_model.learned_policy import spec_file
+from sweep.systems.mujoco_model.learned_policy import spec_path
 from sweep.systems.mujoco_model.policy_spec import PRESETS
 
 DEFAULT_PERIOD_S, DEFAULT_DURATION_S = 0.02, 4.0  # s, of a policy whose file says nothing
@@ -63,7 +63,7 @@ def project_files(policy: Path, mjcf: Path, preset: str) -> dict[str, bytes]:
             raise InputError(f"--mjcf {mjcf.name} refers to {file}, which is not in the model's folder: copy it there")
         found[str(file.resolve().relative_to(folder))] = file.read_bytes()
     found |= {file.name: file.read_bytes() for file in files.list_network_files(policy)}
-    beside = spec_file(policy)
+    beside = spec_path(policy)
     specification = (
         beside.read_bytes()
         if beside.is_file()

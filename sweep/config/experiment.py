@@ -256,7 +256,7 @@ def build_experiment(values: Mapping[str, Any]) -> Experiment:
     for group in (key for key in allowed if key != "out"):
         if not isinstance(said := values.get(group), Mapping) and (said or group not in kind.optional_keys):
             raise InputError(f"{group} = {said} is not allowed: `sweep list` shows the choices")
-    system, settings, limits, told = kind.nominal(values, CLASSES_BY_KIND)
+    system, settings, limits, told = kind.build_nominal(values, CLASSES_BY_KIND)
     if taken := {*PLACEMENT_COLUMNS, *LABEL_COLUMNS, *TIMING_COLUMNS} & {*system.metric_names}:
         raise InputError(f"a metric called {min(taken)} is not allowed: all rows have a column of this name")
     cluster = build_by_kind(CLASSES_BY_KIND["cluster"], values["cluster"], "cluster")

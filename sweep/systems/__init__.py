@@ -25,7 +25,7 @@ class SystemKind(NamedTuple):
     optional_keys: tuple[str, ...] = ()  # the keys that may be left out
     open_keys: tuple[str, ...] = ()  # the keys whose parts only the system knows
 
-    def nominal(self, values: Mapping[str, Any], kinds: ClassesByKind) -> Nominal:
+    def build_nominal(self, values: Mapping[str, Any], kinds: ClassesByKind) -> Nominal:
         """Build the system at its nominal parameters from a plain configuration.
 
         Args:
@@ -42,7 +42,7 @@ class SystemKind(NamedTuple):
             from sweep.systems import mujoco_model as system  # which is not loaded for another
         else:
             from sweep.systems import hexapod as system
-        return system.nominal(values, kinds)
+        return system.build_nominal(values, kinds)
 
 
 OPTIONAL = ("controller", "noise", "push", "start", "payload", "motor", "schedule")  # of a user's model

@@ -338,8 +338,8 @@ class Hexapod:
         return {cause.metric: outcome.threshold_value(cause, limits) for cause in outcome.CAUSES if cause.threshold}
 
 
-def nominal(values: Mapping[str, Any], kinds: ClassesByKind) -> Nominal:
-    """Build the robot's system from a plain configuration, see `sweep.systems.SystemKind.nominal`."""
+def build_nominal(values: Mapping[str, Any], kinds: ClassesByKind) -> Nominal:
+    """Build the robot's system from a plain configuration, see `sweep.systems.SystemKind.build_nominal`."""
     classes = {"engine": EngineSettings, "outcome": OutcomeThresholds}
     classes |= {name: group.load() for name, group in GROUPS.items() if group.in_case and group.has_single_class}
     parts = {group: build(cls, values[group], group) for group, cls in classes.items()}

@@ -175,10 +175,10 @@ class MujocoModel(ModelSpec):
             if column != path:
                 raise InputError(f"axis {column} is not allowed: a file belongs to both sides, leave out side")
             return file_name(self.file_value(path))
-        if terrain.is_terrain(path):
+        if terrain.is_terrain_path(path):
             return self._terrain_parameter(path)
         if root == "model":
-            found = fields.parameter(self.model, path)
+            found = fields.parameter_field(self.model, path)
             fields.check_variable(self.load_source, self.model, path)
             return found
         those = {
@@ -231,7 +231,7 @@ class MujocoModel(ModelSpec):
 
     def _varied_numbers(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         yield from ((path, self.nominal_value(path)) for path in paths
-                    if path.startswith("model.") and not terrain.is_terrain(path))  # fmt: skip
+                    if path.startswith("model.") and not terrain.is_terrain_path(path))  # fmt: skip
 
     def describe_unsearched_values(self, table: "pd.DataFrame", settings: EngineSettings) -> tuple[str, ...]:
         """Return nothing: a user's controller does not say for which values it was made."""
@@ -250,7 +250,7 @@ class MujocoModel(ModelSpec):
         shaping = [c for c in columns if self.parameter(c, settings).metadata["role"] != "quantity"]
         distinct: list[Any] = table[shaping].drop_duplicates().to_dict("records") if shaping else [{}]
         varied = {path for side, path in map(split_side, columns) if side != "belief" and path.startswith("model.")}
-        grounds = {path for path in varied if terrain.is_terrain(path)}
+        grounds = {path for path in varied if terrain.is_terrain_path(path)}
         varied -= {*grounds, *FILE_PATHS}
         self._check_terrain(table, grounds)
         for path in sorted(path for path in varied if fields.is_group(path)):
@@ -312,12 +312,12 @@ class MujocoModel(ModelSpec):
         groups = table.groupby([columns[path] for path in static]) if static else [((), table)]
         for values, rows in groups:
             chosen = shape.with_values(dict(zip(static, values, strict=True)))
-            terrain.check_structure(chosen)
+            terrain.check_terrain_size(chosen)
             numbers = {
                 name: rows[columns[path]].to_numpy() if path in columns else self.nominal_value(path)
                 for name, path in ((name, terrain.PREFIX + name) for name in terrain_heights.NUMBERS)
             }
-            terrain.check_range(chosen, numbers)
+            terrain.check_height_range(chosen, numbers)
 
     def find_random_rows(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
         """Return which rows draw random numbers: those with sensor errors, and all rows if the controller may draw."""
@@ -392,8 +392,8 @@ class MujocoModel(ModelSpec):
         return self.causes.get(str(row["cause"]), "")
 
 
-def nominal(values: Mapping[str, Any], kinds: ClassesByKind) -> Nominal:
-    """Build the system of a MuJoCo model from a plain configuration, see `sweep.systems.SystemKind.nominal`."""
+def build_nominal(values: Mapping[str, Any], kinds: ClassesByKind) -> Nominal:
+    """Build the system of a MuJoCo model from a plain configuration, see `sweep.systems.SystemKind.build_nominal`."""
     about = _parse_model(values["model"])
     settings, usual = build(ModelEngineSettings, values["engine"], "engine"), ModelEngineSettings()
     for field in dataclasses.fields(usual):
@@ -427,7 +427,9 @@ def nominal(values: Mapping[str, Any], kinds: ClassesByKind) -> Nominal:
     system = replace(system, config=replace(about, content=content), controller_values=numbers, conditions=conditions)
     if about.terrain:
         known = dict(numbers)
-        terrain.check_range(about.terrain, {name: known[terrain.PREFIX + name] for name in terrain_heights.NUMBERS})
+        terrain.check_height_range(
+            about.terrain, {name: known[terrain.PREFIX + name] for name in terrain_heights.NUMBERS}
+        )
     settings, told = replace(settings, control_period=about.period), {**values["model"], "content": content}
     return Nominal(system, settings, conditions, {"model": told})
 
@@ -466,7 +468,9 @@ def _parse_model(given: Mapping[str, Any]) -> ModelConfig:
         files.load_model(said.get("mjcf", ""), said["terrain"]),
         {f"model.option.{name}": value for name, value in option.items()},
     )
-    options = tuple((path, check_value(fields.parameter(model, path), value, path)) for path, value in paths.items())
+    options = tuple(
+        (path, check_value(fields.parameter_field(model, path), value, path)) for path, value in paths.items()
+    )
     spec = files.read_policy_spec(said.get("controller", ""))
     if spec and spec.period and said.setdefault("period", spec.period) != spec.period:
         name, told = (
@@ -495,7 +499,7 @@ def _digest_listed(path: str, name: str, ground: terrain.TerrainConfig | None) -
     """Hash what a value of an axis over files names. Raises `InputError`."""
     if path == "model.mjcf":
         return files.digest_model(files.load_model(name, ground))
-    return files.digest_files(_listed_files(path, name))
+    return files.digest_contents(_listed_files(path, name))
 
 
 def _listed_files(path: str, name: str) -> list[Path]:
@@ -546,7 +550,7 @@ def _build_variant(values: str, chosen: tuple[tuple[str, str], ...], content: st
             group = group[parent]
         group[key] = name
     try:
-        system = nominal(plain, {}).system
+        system = build_nominal(plain, {}).system
     except InputError as error:
         told = ", ".join(f"{path} = {name}" for path, name in chosen if f"{path} = {name}" not in str(error))
         raise InputError(f"{error} ({told})" if told else str(error)) from None

@@ -9,7 +9,7 @@ from sweep.contract.engine import Metrics
 from sweep.core.metric import Array, compute_columns, keep_ended_states, select_metrics
 from sweep.systems.mujoco_model.metrics import METRICS
 from sweep.systems.mujoco_model.model_spec import ModelSpec
-from sweep.systems.mujoco_model.tick import ModelParts, ModelRollout, ModelStart, ModelTick
+from sweep.systems.mujoco_model.tick import ModelPartIndices, ModelRollout, ModelStart, ModelTick
 
 
 class ModelMetricStates(NamedTuple):
@@ -26,7 +26,7 @@ class MetricAccumulator:
     """Accumulates the metrics of rollouts from the reports of an engine."""
 
     def __init__(self, own: ModelSpec):
-        self._parts = ModelParts(own)
+        self._parts = ModelPartIndices(own)
         self._metrics = select_metrics(METRICS, self._parts.names, own)
 
     @property

@@ -11,7 +11,7 @@ from sweep.backends import devices, mujoco_versions
 from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
 from sweep.systems.mujoco_model import disturbances, fields, initial_state, motors, payloads, terrain
-from sweep.systems.mujoco_model.disturbances import TickForces
+from sweep.systems.mujoco_model.disturbances import Disturbances
 from sweep.systems.mujoco_model.initial_state import StartOffsets
 from sweep.systems.mujoco_model.model_spec import PHYSICAL, TERM_NOISE_PARAMETERS, ModelSpec, SideValues
 
@@ -28,13 +28,13 @@ class BatchStart(NamedTuple):
     policy_inputs: dict[str, Any]  # to the controllers, by row
     mass: np.ndarray  # (n,) kg
     limits: dict[str, np.ndarray]  # by field, (n, ..., 2), and the ground
-    acting: TickForces  # pushes and delays of commands
+    acting: Disturbances  # pushes and delays of commands
     written: frozenset[str]  # fields of the models that were written
     offsets: StartOffsets  # of the initial state
     ground: terrain.TerrainBatch | None  # the terrains, where the model has one
     alone: mujoco.MjModel  # the model with one height field only
 
-    def place(self, start: np.ndarray | None) -> np.ndarray:
+    def set_initial_state(self, start: np.ndarray | None) -> np.ndarray:
         """Set the initial state, above the terrain, and return its energy (n,) in J.
 
         Args:
@@ -45,7 +45,7 @@ class BatchStart(NamedTuple):
             self.qpos[:] = start
         model, free = self.batch.model, np.flatnonzero(self.batch.model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
         base = int(model.jnt_qposadr[free[0]]) if len(free) else None
-        self.offsets.add_to(model, base, self.limits["jnt_range"], self.qpos, self.qvel)
+        self.offsets.add_to_states(model, base, self.limits["jnt_range"], self.qpos, self.qvel)
         energy = self.energy()
         if self.ground is None:
             return energy
@@ -101,10 +101,10 @@ def start_batch(
     if ground:
         for name in ("geom_xpos", "geom_xmat"):
             batch.bind(name)
-        ground.assign_fields(batch)
+        ground.assign_height_fields(batch)
     varied = fields.select_quantities(spec.model, spec.model_values(world))
     rows = {path: np.broadcast_to(value, (n,)) for path, value in varied.items()}
-    numbers = world_numbers(spec, world)
+    numbers = simulated_numbers(spec, world)
     written = payloads.write_payloads(batch, spec.payloads, numbers)
     written |= fields.write_values(batch, rows, spec.load_source)
     batch.reset(keyframe=spec.keyframe_index, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
@@ -116,19 +116,19 @@ def start_batch(
     }
     limits = {name: batch.expand(name) for name in ("actuator_forcerange", "jnt_range")}
     if ground:
-        limits |= ground.fields_by_name(batch.expand("geom_pos")[:, terrain.find_geom(model)])
-    acting = disturbances.make_forces(spec.pushes, numbers, draw_even(streams, PUSH_KEY, len(spec.pushes)))
-    acting = acting._replace(motors=motors.make_limits(spec.motors, numbers, batch))
+        limits |= ground.metric_inputs(batch.expand("geom_pos")[:, terrain.find_terrain_geom(model)])
+    acting = disturbances.make_disturbances(spec.pushes, numbers, draw_uniform(streams, PUSH_KEY, len(spec.pushes)))
+    acting = acting._replace(motors=motors.make_motor_limits(spec.motors, numbers, batch))
     is_random = any(np.any(numbers[path]) for path in numbers if path.startswith(f"{initial_state.RANDOM}."))
-    count = initial_state.count_draws(spec.model)
-    luck = draw_even(streams, START_KEY, count) if is_random else np.full((n, count), 0.5)
+    count = initial_state.count_random_numbers(spec.model)
+    luck = draw_uniform(streams, START_KEY, count) if is_random else np.full((n, count), 0.5)
     offsets = initial_state.make_offsets(spec.model, numbers, 2 * luck - 1)
     mass = batch.expand("body_mass").sum(axis=1)
     start = batch, qpos, qvel, sensors, policy_inputs, mass, limits, acting, written, offsets
     return BatchStart(*start, ground, spec.model)
 
 
-def draw_even(streams: np.ndarray, purpose: int, count: int) -> np.ndarray:
+def draw_uniform(streams: np.ndarray, purpose: int, count: int) -> np.ndarray:
     """Draw even random numbers from 0 to 1 from the noise streams of rollouts.
 
     Args:
@@ -148,7 +148,7 @@ def draw_even(streams: np.ndarray, purpose: int, count: int) -> np.ndarray:
 def controller_inputs(spec: ModelSpec, world: SideValues, belief: SideValues) -> dict[str, Any]:
     """Return the inputs of the controllers: `belief` by name, and the observation errors `delay`, `white` and
     `bias`."""
-    noise = world_numbers(spec, world)
+    noise = simulated_numbers(spec, world)
     told = spec.believed_values({**belief.select_group("model"), **belief.select_group("controller")})
     found = {"belief": told, **{name: noise[f"noise.{name}"] for name in ("delay", "white", "bias")}}
     factors = {**dict(spec.controller_values), **belief.select_group("schedule")}
@@ -159,7 +159,7 @@ def controller_inputs(spec: ModelSpec, world: SideValues, belief: SideValues) ->
     return found
 
 
-def world_numbers(spec: ModelSpec, world: SideValues) -> dict[str, Any]:
+def simulated_numbers(spec: ModelSpec, world: SideValues) -> dict[str, Any]:
     """Return the simulated numbers of noise and pushes, by path."""
     groups = (world.select_group(name) for name in ("noise", *PHYSICAL))
     return {**dict(spec.controller_values), **{path: value for group in groups for path, value in group.items()}}
@@ -182,7 +182,7 @@ def count_ticks(spec: ModelSpec, duration: Any) -> np.ndarray:
     return found.astype(int)
 
 
-def differing_fields(begun: BatchStart) -> dict[str, np.ndarray]:
+def varied_model_fields(begun: BatchStart) -> dict[str, np.ndarray]:
     """Return the fields in which the models of a batch differ from the nominal model, (n, ...): written and derived
     ones."""
     model, found = begun.batch.model, mujoco_versions.batched_fields(begun.batch, begun.written)

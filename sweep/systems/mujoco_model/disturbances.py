@@ -9,7 +9,7 @@ from sweep.contract.system import Parameter
 from sweep.core.errors import require_choice
 from sweep.core.parameters import quantity
 from sweep.systems.mujoco_model.motors import MotorLimits
-from sweep.systems.mujoco_model.named_groups import iterate_named
+from sweep.systems.mujoco_model.named_groups import iterate_named_entries
 
 PUSH_PARAMETERS: Mapping[str, Parameter] = {  # numbers of a push
     "impulse": quantity(0.0, "N*s"),  # delivered evenly within `length`
@@ -29,7 +29,7 @@ class PushedBody(NamedTuple):
     body: str
 
 
-class TickForces(NamedTuple):
+class Disturbances(NamedTuple):
     """Pushes, delays of commands and limits of motors of n rollouts, one row for each rollout."""
 
     delay: Any  # (n,) physics steps by which commands are late, whole
@@ -38,7 +38,7 @@ class TickForces(NamedTuple):
     end: Any  # (n, p) s
     motors: MotorLimits | None = None  # None where no joint has a motor
 
-    def forces(self, first: Any, count: int, step: float) -> Any:
+    def mean_push_forces(self, first: Any, count: int, step: float) -> Any:
         """Return the forces of physics steps, each its mean over the step, so that impulses are exact.
 
         Args:
@@ -65,14 +65,14 @@ def parse_pushes(config: Any, bodies: list[str]) -> tuple[tuple[PushedBody, ...]
     """
     pushes, numbers = [], {}
     such = "pushes by name, such as {kick: {body: trunk}}"
-    for name, said in iterate_named("push", config, such, ("body", *PUSH_PARAMETERS), ("body",)):
+    for name, said in iterate_named_entries("push", config, such, ("body", *PUSH_PARAMETERS), ("body",)):
         require_choice(said["body"], bodies, f"push.{name}.body: {said['body']}")
         pushes.append(PushedBody(name, str(said["body"])))
         numbers |= {f"push.{name}.{key}": value for key, value in said.items() if key != "body"}
     return tuple(pushes), numbers
 
 
-def make_forces(pushes: tuple[PushedBody, ...], values: Mapping[str, Any], uniform: np.ndarray) -> TickForces:
+def make_disturbances(pushes: tuple[PushedBody, ...], values: Mapping[str, Any], uniform: np.ndarray) -> Disturbances:
     """Return the pushes and command delays that act on n rollouts.
 
     Args:
@@ -90,7 +90,7 @@ def make_forces(pushes: tuple[PushedBody, ...], values: Mapping[str, Any], unifo
     size = rows("force") + rows("impulse") / rows("length")
     along = np.stack([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)], axis=-1)
     delay = np.broadcast_to(np.rint(values["noise.action_delay"]).astype(np.int32), (n,))
-    return TickForces(delay, size[..., None] * along, start, start + rows("length"))
+    return Disturbances(delay, size[..., None] * along, start, start + rows("length"))
 
 
 def delay_commands(past: Any, commands: Any, delay: Any) -> tuple[Any, Any]:

@@ -157,7 +157,7 @@ class ModelEngine:
             ctrl, qpos, qvel, force, policy = (values[within, k] for values in recorded)
             base, model, count = self._spec.base_address, models[k], int(within.sum())
             pose = np.tile([0.0, 0, 0, 1, 0, 0, 0], (count, 1)) if base is None else qpos[:, base : base + 7]
-            moved = time[within], qpos, qvel, ctrl, force @ joint_levers(model)
+            moved = time[within], qpos, qvel, ctrl, force @ joint_moment_arms(model)
             none = np.zeros((count, 0, 3))  # of feet
             judged = np.zeros(count, int), np.full(count, np.nan), np.full(count, "")
             told = dict(zip(self._spec.policy_columns, policy.T, strict=True))
@@ -180,7 +180,7 @@ class ModelEngine:
         raise NotImplementedError
 
 
-def joint_levers(model: mujoco.MjModel) -> np.ndarray:
+def joint_moment_arms(model: mujoco.MjModel) -> np.ndarray:
     """Return the moment arms (nu, J) from the forces of actuators to the `single_joints` that they drive."""
     joints, kind = single_joints(model), int(mujoco.mjtTrn.mjTRN_JOINT)
     driven = (model.actuator_trnid[:, :1] == joints) & (model.actuator_trntype[:, None] == kind)
@@ -207,9 +207,9 @@ class NativeModelEngine(ModelEngine):
             begun = batch.start_batch(spec, self._settings, world, belief, streams)
             qpos, qvel, seen = begun.qpos, begun.qvel, begun.sensors
             rollouts = ControllerBatch(self._programs, begun.policy_inputs, n)
-            before_all = begun.place(rollouts.start)
+            before_all = begun.set_initial_state(rollouts.start)
             ticks = batch.count_ticks(spec, rollouts.duration)
-            rollouts.enter(spec.observable_state(qpos, qvel, seen), ticks)
+            rollouts.begin_rollouts(spec.observable_state(qpos, qvel, seen), ticks)
             metric_state = aside.submit(self._meter.start, qpos.copy(), qvel.copy())
 
             def update_metrics(metric_state: Any, steps: Any, going: np.ndarray) -> ModelMetricStates:
@@ -221,7 +221,7 @@ class NativeModelEngine(ModelEngine):
             stepper = TickStepper(spec, begun, self._shares)
             for k in range(int(ticks.max(initial=0))):
                 going = k < ticks
-                ctrl = rollouts.tick(spec.observable_state(qpos, qvel, seen))
+                ctrl = rollouts.next_controls(spec.observable_state(qpos, qvel, seen))
                 broken |= going & ~np.isfinite(ctrl).all(axis=1)
                 ctrl = np.nan_to_num(ctrl)
                 steps = recorded[k % 2] = stepper.advance(ctrl, recorded[k % 2])
@@ -281,7 +281,9 @@ class TickStepper:
             self._past = np.repeat(ctrl[:, None], room, axis=1) if not self._first else self._past
             commands, self._past = delay_commands(self._past, commands, self._begun.acting.delay)
         step, count = self._spec.model.opt.timestep, len(self._shares)
-        forces = self._begun.acting.forces(np.asarray(self._first), count, step) if len(self._bodies) else None
+        forces = (
+            self._begun.acting.mean_push_forces(np.asarray(self._first), count, step) if len(self._bodies) else None
+        )
         self._first += count
         return self._simulate(commands, forces, out)
 

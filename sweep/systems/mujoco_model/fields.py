@@ -45,7 +45,7 @@ class NumberLocation(NamedTuple):
     sign: float = 1.0
 
 
-class Element(NamedTuple):
+class NamedElement(NamedTuple):
     """The model element that a path names, such as a geom, and the path's attribute."""
 
     kind: str
@@ -161,7 +161,7 @@ FIXED = {  # why no other field of `mujoco.batch` can vary, by patterns of their
 }
 
 
-def parameter(model: mujoco.MjModel, path: str) -> Parameter:
+def parameter_field(model: mujoco.MjModel, path: str) -> Parameter:
     """Return the field that describes the parameter of a path, with its nominal value. Raises `InputError`."""
     if is_group(path):
         return _group_parameter(model, path)
@@ -180,10 +180,12 @@ def parameter(model: mujoco.MjModel, path: str) -> Parameter:
 
 def select_quantities(model: mujoco.MjModel, values: Mapping[str, Any]) -> dict[str, Any]:
     """Select the values, by path, that may differ between the models of one batch."""
-    return {path: value for path, value in values.items() if parameter(model, path).metadata["role"] == "quantity"}
+    return {
+        path: value for path, value in values.items() if parameter_field(model, path).metadata["role"] == "quantity"
+    }
 
 
-def with_options(model: mujoco.MjModel, values: Mapping[str, Any]) -> mujoco.MjModel:
+def with_scalar_options(model: mujoco.MjModel, values: Mapping[str, Any]) -> mujoco.MjModel:
     """Return a copy of a model with other scalar options, by path."""
     changed = copy(model)
     for path, value in values.items():
@@ -272,7 +274,7 @@ def _compile(batch: Batch, values: Mapping[str, Any], source: mujoco.MjSpec) -> 
     return written
 
 
-def find_element(model: mujoco.MjModel, path: str) -> Element:
+def find_element(model: mujoco.MjModel, path: str) -> NamedElement:
     """Find the element that a path names. Raises `InputError` where there is none."""
     root, _, rest = path.partition(".")
     kind, _, rest = rest.partition(".")
@@ -282,12 +284,12 @@ def find_element(model: mujoco.MjModel, path: str) -> Element:
         f"axis {path} is not allowed: {kind or root}",
     )
     if kind == OPTION_KIND:
-        return Element(kind, 0, "", rest)
+        return NamedElement(kind, 0, "", rest)
     parts = rest.split(".")
     heads = [".".join(parts[:k]) for k in range(len(parts), 0, -1)]  # names may have points in them, too
     for name in filter(None, heads):
         if (number := mujoco.mj_name2id(model, OBJECT_TYPES[kind], name)) >= 0:
-            return Element(kind, number, name, rest.removeprefix(name).removeprefix("."))
+            return NamedElement(kind, number, name, rest.removeprefix(name).removeprefix("."))
     count = len(field_values(model, next(iter(VARIABLE_NUMBERS[kind].values())).field))
     names = (mujoco.mj_id2name(model, OBJECT_TYPES[kind], k) for k in range(count))
     near = suggest(parts[0], filter(None, names))
@@ -394,7 +396,7 @@ def _alternatives(pattern: str) -> list[str]:
 def _group_parameter(model: mujoco.MjModel, path: str) -> Parameter:
     """Return the field that describes a group: one value for all, or a factor. Raises `InputError`."""
     members = group_members(model, path)
-    about = [parameter(model, member) for member in members]
+    about = [parameter_field(model, member) for member in members]
     if path.endswith(RELATIVE_SUFFIX):
         return quantity(1.0, f"of {len(members)} numbers", at_least=0)
     values: list[float] = [one.default for one in about]  # pyright: ignore[reportAssignmentType]
@@ -412,7 +414,7 @@ def _expand_groups(model: mujoco.MjModel, values: Mapping[str, Any]) -> dict[str
     for path in sorted(values, key=is_group, reverse=True):
         for member in group_members(model, path) if is_group(path) else [path]:
             value = np.asarray(values[path])
-            found[member] = value * parameter(model, member).default if path.endswith(RELATIVE_SUFFIX) else value
+            found[member] = value * parameter_field(model, member).default if path.endswith(RELATIVE_SUFFIX) else value
     return found
 
 

@@ -28,7 +28,7 @@ from sweep.core.user_code import describe_user_error, report_slow_call, run_user
 from sweep.systems.mujoco_model import learned_policy, onnx_network, policy_spec, torch_network
 from sweep.systems.mujoco_model.actuation import JointControl
 from sweep.systems.mujoco_model.onnx_network import Network
-from sweep.systems.mujoco_model.terrain import TerrainConfig, check_level, place_in_model
+from sweep.systems.mujoco_model.terrain import TerrainConfig, replace_floor, require_level_floor
 from sweep.systems.mujoco_model.torch_network import TORCH_SUFFIXES
 
 ONNX_SUFFIX, BINARY_SUFFIX, PACKAGE_PREFIX = ".onnx", ".mjb", "package://"
@@ -159,7 +159,7 @@ def _compiled(file: Path, changed: int, ground: TerrainConfig | None, fields: in
             near = suggest(lost[1], there) if there else ""
         raise InputError(f"model.mjcf = {file.name} does not compile: {reason}{near}") from None
     if ground:
-        check_level(made)
+        require_level_floor(made)
         bare = _compiled(file, changed, None, 1)  # pictures show the robot, and not the whole terrain
         made.stat.extent, made.stat.center[:] = bare.stat.extent, bare.stat.center
     if not made.nv:
@@ -182,7 +182,7 @@ def load_spec(mjcf: str, ground: TerrainConfig | None = None, fields: int = 1) -
     source = _source(file, file.stat().st_mtime_ns)
     if ground:
         source = source.copy()
-        place_in_model(source, ground, fields)
+        replace_floor(source, ground, fields)
     return source
 
 
@@ -237,7 +237,7 @@ def read_terrain_image(name: str) -> np.ndarray:
     return pixels
 
 
-def digest_files(listed: Sequence[Path]) -> str:
+def digest_contents(listed: Sequence[Path]) -> str:
     """Hash the contents of files."""
     return _digest(listed)
 
@@ -292,7 +292,7 @@ def controller_files(name: str) -> list[Path]:
         return [*project.source_files(module), *(folder / file for file in named)]
     file = _require_network(name)
     found = list_network_files(file)
-    found += [told] if (told := learned_policy.spec_file(file)).is_file() else []
+    found += [told] if (told := learned_policy.spec_path(file)).is_file() else []
     if file.with_suffix(".py").is_file():
         found += project.source_files(_module(name, ".".join(Path(name).with_suffix("").parts)))
     return found
@@ -314,19 +314,19 @@ def _load_network(name: str, model: mujoco.MjModel, keyframe: int, period: float
     file = _require_network(name)
     network, files, learned = _read_network(name, file), list_network_files(file), None
     if spec := read_policy_spec(name):
-        told = learned_policy.spec_file(file)
+        told = learned_policy.spec_path(file)
         files = [*files, told]
         learned = learned_policy.fit_policy(told.name, spec, network, model, keyframe, period)
         found = LoadedController(learned.policy, (), "", is_batched=False, begin=learned.begin, observe=learned.observe,
                                  parameters=spec.commands, fitted_policy=learned)  # fmt: skip
     else:
-        found = LoadedController(onnx_network.make_policy(network), (), "", is_batched=False)
+        found = LoadedController(onnx_network.make_stateless_policy(network), (), "", is_batched=False)
     digest = _digest(files)
     if file.with_suffix(".py").is_file():
         beside = project.source_files(module := _module(name, ".".join(Path(name).with_suffix("").parts)))
         said = _beside(name, module)
         if learned and said.pop("observe"):
-            told = learned_policy.spec_file(file).name
+            told = learned_policy.spec_path(file).name
             raise InputError(f"model.controller = {name}: `observe` is not allowed beside {told}")
         files, digest, found = [*files, *beside], f"{digest}-{_digest(beside)}", found._replace(**said)
     return found._replace(files=tuple(files), digest=digest, folder=project_folder())
@@ -336,7 +336,7 @@ def read_policy_spec(name: str) -> policy_spec.PolicySpec | None:
     """Read the specification beside a network, by the controller's name; None without one. Raises `InputError`."""
     if not name.endswith(NETWORK_SUFFIXES):
         return None
-    told = learned_policy.spec_file(file := _require_network(name))
+    told = learned_policy.spec_path(file := _require_network(name))
     return learned_policy.read_spec(told, _read_network(name, file).metadata) if told.is_file() else None
 
 

@@ -28,7 +28,7 @@ def explain_inactive(spec: ModelSpec, column: str, settings: EngineSettings, end
         return ""
     if side == "belief":
         return "" if path in spec.controller.belief_paths.values() else "the controller's BELIEVES does not name it"
-    if terrain.is_terrain(path):
+    if terrain.is_terrain_path(path):
         return _terrain(spec, path)
     if fields.is_group(path):
         why = [explain_inactive(spec, one, settings, ends) for one in fields.group_members(spec.model, path)]

@@ -34,7 +34,7 @@ class StartOffsets(NamedTuple):
     positions: np.ndarray  # (n, j) of the hinges and slides, rad or m
     velocities: np.ndarray  # (n, j) rad/s or m/s
 
-    def add_to(self, model: mujoco.MjModel, base: int | None, limits: np.ndarray, qpos: Any, qvel: Any) -> None:
+    def add_to_states(self, model: mujoco.MjModel, base: int | None, limits: np.ndarray, qpos: Any, qvel: Any) -> None:
         """Add the offsets to states in place. A joint that has limits stays within them.
 
         Args:
@@ -79,7 +79,7 @@ def start_parameters(model: mujoco.MjModel, has_base: bool) -> dict[str, Paramet
     return found
 
 
-def count_draws(model: mujoco.MjModel) -> int:
+def count_random_numbers(model: mujoco.MjModel) -> int:
     """Count the random numbers that the initial state of a rollout takes."""
     return len(BASE_UNITS) + 2 * len(single_joints(model))
 
@@ -90,7 +90,7 @@ def make_offsets(model: mujoco.MjModel, values: Mapping[str, Any], luck: np.ndar
     Args:
         model: The model.
         values: Numbers by path, see `start_parameters`; each a number, or an array (n,).
-        luck: Even random numbers from -1 to 1, (n, k): see `count_draws`.
+        luck: Even random numbers from -1 to 1, (n, k): see `count_random_numbers`.
     """
     n, joints = len(luck), single_joints(model)
 

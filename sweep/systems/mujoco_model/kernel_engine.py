@@ -34,12 +34,12 @@ from sweep.systems.mujoco_model.engine import (
     print_note,
 )
 from sweep.systems.mujoco_model.kernel import agreement, guard, sensors
-from sweep.systems.mujoco_model.kernel.layout import find_layout, find_stack, refuse
+from sweep.systems.mujoco_model.kernel.layout import find_layout, find_stack, unsupported_model_error
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
 from sweep.systems.mujoco_model.kernel.scalars import Scalar, Vector, flatten_scalars, stack_values
 from sweep.systems.mujoco_model.kernel.smooth import compute_smooth
 from sweep.systems.mujoco_model.kernel.step import (
-    Push,
+    BodyPush,
     StepResult,
     compute_forces,
     read_state,
@@ -64,7 +64,7 @@ class Inputs(NamedTuple):
     policy: Any  # inputs of the controller; () where it is called between ticks
     rows: dict[str, Rows]  # fields in which models differ, in MuJoCo's shapes
     limits: dict[str, Rows]  # (..., 2)
-    acting: disturbances.TickForces  # without the axis of rollouts
+    acting: disturbances.Disturbances  # without the axis of rollouts
 
 
 class Carry(NamedTuple):
@@ -102,7 +102,7 @@ class KernelModelEngine(ModelEngine):
         self._is_inside = not (spec.controller.is_batched or spec.controller.fitted_policy)
         self._iterations = max(int(model.opt.iterations), LEAST_ITERATIONS)
         self._read_sensors = self._find_read_sensors()
-        self._watched = guard.find_pairs(model)
+        self._watched = guard.find_unsimulated_pairs(model)
         self._programs_by_form: dict[Any, Any] = {}
         self._first, self._enter, self._finish = self._programs.compile_for_batches()
 
@@ -113,9 +113,9 @@ class KernelModelEngine(ModelEngine):
         if spec.config.observe and not (control.measure or control.observe or control.fitted_policy):
             read = {k for k in read if model.sensor(k).name in spec.config.observe}
         feet = {*spec.touch_sensors("feet"), *spec.touch_sensors("collisions")}
-        unknown = sensors.find_unknown(self._layout, model)
+        unknown = sensors.find_unsupported_sensors(self._layout, model)
         for k in sorted((read | feet) & set(unknown)):
-            raise refuse(f"the sensor {model.sensor(k).name or k}: {unknown[k]}")
+            raise unsupported_model_error(f"the sensor {model.sensor(k).name or k}: {unknown[k]}")
         return read
 
     def check_varied(self, paths: Iterable[str]) -> Iterable[str]:
@@ -126,7 +126,7 @@ class KernelModelEngine(ModelEngine):
             for place in fields.locate_numbers(self._model, path)[1]:
                 ground = place.field.startswith("body_pos") and not self._model.body_weldid[place.flat_index // 3]
                 if place.field not in numbers.read or ground:
-                    raise refuse(f"{path} that differs between rollouts")
+                    raise unsupported_model_error(f"{path} that differs between rollouts")
         return ()
 
     def _read_numbers(self, numbers: ModelNumbers) -> None:
@@ -138,7 +138,7 @@ class KernelModelEngine(ModelEngine):
         sensors.compute_sensors(self._layout, numbers, state, result)
 
     @cached_property
-    def agreement(self) -> agreement.Agreement:
+    def c_mujoco_agreement(self) -> agreement.Agreement:
         """How well accelerations agree with C MuJoCo's on random states."""
         return agreement.compare_accelerations(self._layout, self._model, self._spec.keyframe_index)
 
@@ -201,7 +201,9 @@ class KernelModelEngine(ModelEngine):
         if self._watched:
             state = read_state(self._layout, self._model, qpos, qvel, warm)
             smooth = compute_smooth(self._layout, numbers, state)
-            needs_native = needs_native | going & guard.is_near(self._layout, numbers, state, smooth, self._watched)
+            needs_native = needs_native | going & guard.has_near_pair(
+                self._layout, numbers, state, smooth, self._watched
+            )
         observable = jnp.concatenate([qpos, qvel, sensed])
         new = Carry(qpos, qvel, warm, metrics, controller, command, observable, force, extra, command,
                     carry.tick + 1, carry.ticks, wrong, needs_native, carry.tick + 1 >= carry.ticks)  # fmt: skip
@@ -222,15 +224,15 @@ class KernelModelEngine(ModelEngine):
             controls = motors.controls(controls, qpos[None], qvel[None], limits)
         return controls[0].astype(target.dtype)
 
-    def _pushes(self, acting: Any, number: Array) -> tuple[tuple[Push, ...], Array | None]:
+    def _pushes(self, acting: Any, number: Array) -> tuple[tuple[BodyPush, ...], Array | None]:
         """Forces of one physics step, and as an array (p, 3) in N; None without pushes."""
         if not len(self._spec.pushed_bodies):
             return (), None
-        force = acting.forces(number[None], 1, self._model.opt.timestep)[0, 0]
+        force = acting.mean_push_forces(number[None], 1, self._model.opt.timestep)[0, 0]
         found = []
         for k, body in enumerate(self._spec.pushed_bodies):
             stack, member = find_stack(self._layout, int(body))
-            found.append(Push(stack, member, Vector(*(Scalar(force[k, i]) for i in range(3)))))
+            found.append(BodyPush(stack, member, Vector(*(Scalar(force[k, i]) for i in range(3)))))
         return tuple(found), force
 
     def _push_places(self, state: Any, result: StepResult) -> Array:
@@ -295,11 +297,11 @@ class KernelModelEngine(ModelEngine):
             start, state, duration = self._programs.call_compiled(self._first, begun.policy_inputs)
         else:
             start, state, duration = outside.start, (), outside.duration
-        at_first = begun.place(start)
+        at_first = begun.set_initial_state(start)
         observable = np.asarray(spec.observable_state(begun.qpos, begun.qvel, begun.sensors), number)
         ticks = batch.count_ticks(spec, duration).astype(np.int32)
         if outside is not None:
-            outside.enter(spec.observable_state(begun.qpos, begun.qvel, begun.sensors), ticks)
+            outside.begin_rollouts(spec.observable_state(begun.qpos, begun.qvel, begun.sensors), ticks)
             controller = ()
         else:
             controller = self._programs.call_compiled(self._enter, begun.policy_inputs, state, observable, ticks)
@@ -368,8 +370,8 @@ class KernelModelEngine(ModelEngine):
     ) -> BatchResult:
         slots = np.asarray(list(slots), int)
         if self._settings.cross_check:
-            self.agreement.require(self._spec.config.mjcf)
-            print_note(f"kernel: {self.agreement}")
+            self.c_mujoco_agreement.require(self._spec.config.mjcf)
+            print_note(f"kernel: {self.c_mujoco_agreement}")
         with self._within():
             begun, outside, varied, inputs, carry, ticks, at_first = self._start(world, belief, streams)
             longest = int(ticks.max(initial=0))
@@ -380,7 +382,7 @@ class KernelModelEngine(ModelEngine):
             for first in range(0, longest, chunk):
                 count = min(chunk, longest - first)
                 if outside is not None:
-                    running.command(outside.tick(running.observable()))
+                    running.command(outside.next_controls(running.observable()))
                 record = running.advance(first, count)
                 for k in range(count) if len(slots) else ():
                     if (first + k + 1) % every == 0:

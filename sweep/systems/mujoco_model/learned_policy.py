@@ -101,7 +101,7 @@ class LearnedPolicy(NamedTuple):
         }
 
 
-def spec_file(network: Path) -> Path:
+def spec_path(network: Path) -> Path:
     """Return the path of a network's specification file."""
     return network.with_name(f"{network.stem}{policy_spec.SPECIFICATION_SUFFIX}")
 
@@ -139,7 +139,7 @@ def fit_policy(
     pose = model.key_qpos[keyframe] if keyframe >= 0 else model.qpos0
     places = np.array([model.jnt_qposadr[model.joint(one).id] for one in joints], int)
     default = (pose[places] if spec.default_pose is None
-               else policy_spec.joint_numbers(f"{error_prefix}: default_pose", spec.default_pose, joints))  # fmt: skip
+               else policy_spec.joint_values(f"{error_prefix}: default_pose", spec.default_pose, joints))  # fmt: skip
     defaults = dict(zip(joints, default, strict=True))
     inputs = _fit_inputs(error_prefix, spec, network, model, joints)
     output = _action_output(error_prefix, spec, network)
@@ -401,7 +401,7 @@ def _fit_distribution(
         way = "; without them leave sample out, which runs the mean action"
         raise InputError(f"{error_prefix}: action.sample = true {needs}{way}")
     fixed = (None if spec.deviation is None
-             else policy_spec.joint_numbers(f"{error_prefix}: action.deviation", spec.deviation, joints))  # fmt: skip
+             else policy_spec.joint_values(f"{error_prefix}: action.deviation", spec.deviation, joints))  # fmt: skip
 
     def draw(mean: Any, found: Mapping[str, Any], key: Any) -> Any:
         size = fixed if fixed is not None else jnp.exp(found[spec.deviation_output].reshape(-1))
@@ -434,8 +434,8 @@ def _fit_action(
     error_prefix: str, spec: ActionSpec, model: mujoco.MjModel, joints: list[str], default: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, actuation.JointControl | None, np.ndarray]:
     """Return scale and offset of the action (k,), the joint controller if there is one, and actuators (k,)."""
-    policy_spec.require_clip(f"{error_prefix}: action.clip", spec.clip)
-    actuators, numbers = actuation.find_actuators(error_prefix, model, joints), policy_spec.joint_numbers
+    policy_spec.require_clip_range(f"{error_prefix}: action.clip", spec.clip)
+    actuators, numbers = actuation.find_actuators(error_prefix, model, joints), policy_spec.joint_values
     scale = numbers(f"{error_prefix}: action.scale", spec.scale, joints)
     offset = (np.array(default, float) if spec.offset == "default_pose" and spec.actuation != "direct" else
               np.zeros(len(joints)) if spec.offset == "default_pose" else

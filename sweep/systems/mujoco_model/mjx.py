@@ -179,12 +179,14 @@ class MjxModelEngine(ModelEngine):
 
     def check_varied(self, paths: Iterable[str]) -> Iterable[str]:
         """Refuse numbers that MJX cannot vary, and return cautions; see `ModelEngine.check_varied`."""
-        grounds, paths = ([path for path in paths if terrain.is_terrain(path) == one] for one in (True, False))
+        grounds, paths = ([path for path in paths if terrain.is_terrain_path(path) == one] for one in (True, False))
         if grounds and self._impl == "warp":
             raise self._refusal(f"Warp has one terrain for all rollouts, which {grounds[0]} varies", "engine=mjx, ")
         written = [(path, place.field) for path in paths for place in fields.locate_numbers(self._model, path)[1]]
         template = self._template(
-            with_features(self._model, {name: 1.0 for _, name in written if name in PROGRAM_SHAPING_FIELDS})
+            with_used_features_enabled(
+                self._model, {name: 1.0 for _, name in written if name in PROGRAM_SHAPING_FIELDS}
+            )
         )
         for path, name in written:
             if name in UNUSED_FIELDS[self._impl] or not hasattr(model_leaf(template, name), "at"):
@@ -304,7 +306,7 @@ class MjxModelEngine(ModelEngine):
         begun = batch.start_batch(spec, self._settings, world, belief, streams)
         policy_inputs = jax.device_put(begun.policy_inputs)
         start, state, duration = self._programs.call_compiled(self._first, policy_inputs)
-        at_first = begun.place(start)
+        at_first = begun.set_initial_state(start)
         seen = jnp.asarray(spec.observable_state(begun.qpos, begun.qvel, begun.sensors), float)
         ticks = batch.count_ticks(spec, duration)
         template, data, leaves = self._put(begun)
@@ -349,17 +351,17 @@ class MjxModelEngine(ModelEngine):
 
     def _put(self, begun: batch.BatchStart) -> tuple[Any, Any, dict[str, Array]]:
         """MJX's model, its data at the keyframe, and the fields in which the rollouts' models differ, (n, ...)."""
-        n, rows = begun.batch.nsim, batch.differing_fields(begun)
+        n, rows = begun.batch.nsim, batch.varied_model_fields(begun)
         most = {name: np.abs(rows[name]).max(axis=0) for name in PROGRAM_SHAPING_FIELDS if name in rows}
         shape = n, *((name, values.tobytes()) for name, values in most.items())
         ground = begun.ground
-        shared = ground.field_data[0] if ground and not ground.varies else None
+        shared = ground.height_data[0] if ground and not ground.varies else None
         if shared is not None:
             shape = *shape, shared.tobytes()
         if shape not in self._placed:  # on the device; the last is kept, which mostly is the next one
-            model = with_features(self._model, most)
+            model = with_used_features_enabled(self._model, most)
             if shared is not None:
-                model.hfield_data[terrain.field_slice(model)] = shared
+                model.hfield_data[terrain.height_data_slice(model)] = shared
             data = mujoco.MjData(model)
             if self._spec.keyframe_index >= 0:
                 mujoco.mj_resetDataKeyframe(model, data, self._spec.keyframe_index)
@@ -375,7 +377,7 @@ class MjxModelEngine(ModelEngine):
                 leaves[name] = jnp.asarray(values.reshape(n, *one.shape), float)
         if ground and ground.varies:
             rows = np.tile(self._model.hfield_data, (n, 1))
-            rows[:, terrain.field_slice(self._model)] = ground.field_data[ground.which]
+            rows[:, terrain.height_data_slice(self._model)] = ground.height_data[ground.which]
             leaves["hfield_data"] = jnp.asarray(rows, float)
         return template, data, leaves
 
@@ -430,7 +432,7 @@ class MjxModelEngine(ModelEngine):
                 controls = controls if motor_law is None else motor_law.controls(controls, *before_step, acting.motors)
                 wrench = None
                 if len(bodies):
-                    forces = acting.forces(first_step + number, 1, time_step)[:, 0]
+                    forces = acting.mean_push_forces(first_step + number, 1, time_step)[:, 0]
                     wrench = jnp.zeros_like(extra["wrench"]).at[:, bodies, :3].add(forces)
                 sim_state, told = jax.vmap(one)(leaves, sim_state, controls, wrench)
                 if wrench is not None:
@@ -506,7 +508,7 @@ def model_leaf(model: Any, name: str) -> Any:
     return vars(owner).get(name)
 
 
-def with_features(model: mujoco.MjModel, most: Mapping[str, Any]) -> mujoco.MjModel:
+def with_used_features_enabled(model: mujoco.MjModel, most: Mapping[str, Any]) -> mujoco.MjModel:
     """Return a copy of a model whose features that any rollout uses are not 0, so that the program includes them.
 
     Args:

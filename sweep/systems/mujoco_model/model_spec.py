@@ -14,7 +14,7 @@ from sweep.core.metric import array_namespace
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.systems.mujoco_model import fields, files, initial_state, terrain, terrain_heights
 from sweep.systems.mujoco_model.disturbances import PUSH_PARAMETERS, PushedBody
-from sweep.systems.mujoco_model.motors import MOTOR, MotorGroup, MotorLaw, make_law
+from sweep.systems.mujoco_model.motors import MOTOR, MotorGroup, MotorLaw, make_motor_law
 from sweep.systems.mujoco_model.payloads import PAYLOAD, Payload, add_payloads
 from sweep.systems.mujoco_model.policy_spec import VELOCITY_COMMANDS
 from sweep.systems.mujoco_model.schedules import FACTOR, Schedule
@@ -107,7 +107,7 @@ class ModelSpec:
             compiled = self._load_source(count).compile()
             if self.config.terrain:
                 compiled.stat.extent, compiled.stat.center[:] = view.extent, view.center
-        return fields.with_options(compiled, dict(self.config.option))
+        return fields.with_scalar_options(compiled, dict(self.config.option))
 
     def load_source(self) -> mujoco.MjSpec:
         """Load the source (MJCF or URDF) from which the model is compiled. Raises `InputError`."""
@@ -120,12 +120,12 @@ class ModelSpec:
     @cached_property
     def motor_law(self) -> MotorLaw | None:
         """The law that clips controls to what motors can give; None where no joint has a motor."""
-        return make_law(self.model, self.motors)
+        return make_motor_law(self.model, self.motors)
 
     def model_values(self, world: SideValues) -> dict[str, Any]:
         """Return the values of a side, by path, that are numbers of the compiled model."""
         own = world.select_group("model").items()
-        return {path: value for path, value in own if not terrain.is_terrain(path) and path not in FILE_PATHS}
+        return {path: value for path, value in own if not terrain.is_terrain_path(path) and path not in FILE_PATHS}
 
     def make_terrain(self, world: SideValues, n: int) -> terrain.TerrainBatch | None:
         """Make the terrains of n rollouts; None without terrain.
@@ -141,7 +141,7 @@ class ModelSpec:
         values = {**dict(self.controller_values), **own}
         numbers = {name: np.broadcast_to(values[terrain.PREFIX + name], (n,)) for name in terrain_heights.NUMBERS}
         image = files.read_terrain_image(shape.file) if shape.kind == "image" else None
-        return terrain.make_batch(shape, numbers, any(terrain.PREFIX + name in own for name in numbers), image)
+        return terrain.make_terrain_batch(shape, numbers, any(terrain.PREFIX + name in own for name in numbers), image)
 
     @cached_property
     def controller(self) -> files.LoadedController:
@@ -241,7 +241,7 @@ class ModelSpec:
 
     def file_value(self, path: str) -> str:
         """Return the nominal file or module of one of `FILE_PATHS`."""
-        owner = self.config.terrain if terrain.is_terrain(path) else self.config
+        owner = self.config.terrain if terrain.is_terrain_path(path) else self.config
         return getattr(owner, path.rpartition(".")[2], "")
 
     def nominal_value(self, path: str) -> Any:
@@ -249,7 +249,7 @@ class ModelSpec:
         if path in FILE_PATHS:
             return self.file_value(path)
         numbers = dict(self.controller_values)
-        return numbers[path] if path in numbers else fields.parameter(self.model, path).default
+        return numbers[path] if path in numbers else fields.parameter_field(self.model, path).default
 
     @property
     def policy_columns(self) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from sweep.contract.system import Parameter
 from sweep.core.errors import InputError
 from sweep.core.parameters import quantity
 from sweep.systems.mujoco_model.actuation import JOINT_TRANSMISSIONS
-from sweep.systems.mujoco_model.named_groups import iterate_named
+from sweep.systems.mujoco_model.named_groups import iterate_named_entries
 
 MOTOR: Mapping[str, Parameter] = {  # numbers of the motors of some joints
     "stall_torque": quantity(0.0, "N*m", above=0),  # at rest, if `torque_limit` allows it
@@ -82,7 +82,7 @@ def parse_motors(given: Any, model: mujoco.MjModel) -> tuple[tuple[MotorGroup, .
     """
     groups, numbers, taken = [], {}, {}
     such = "motors by name, such as {legs: {joints: '*', stall_torque: 30, no_load_speed: 20}}"
-    for name, said in iterate_named("motor", given, such, ("joints", *MOTOR), ("joints", *NEEDED)):
+    for name, said in iterate_named_entries("motor", given, such, ("joints", *MOTOR), ("joints", *NEEDED)):
         actuators = _find_motors(f"motor.{name}", str(said["joints"]), model)
         for one in actuators:
             if one in taken:
@@ -118,7 +118,7 @@ def _find_motors(error_prefix: str, pattern: str, model: mujoco.MjModel) -> tupl
     return tuple(found)
 
 
-def make_law(model: mujoco.MjModel, groups: tuple[MotorGroup, ...]) -> MotorLaw | None:
+def make_motor_law(model: mujoco.MjModel, groups: tuple[MotorGroup, ...]) -> MotorLaw | None:
     """Make the law of all actuators; None where no joint has a motor."""
     if not groups:
         return None
@@ -127,7 +127,7 @@ def make_law(model: mujoco.MjModel, groups: tuple[MotorGroup, ...]) -> MotorLaw 
     return MotorLaw(model.jnt_qposadr[joints].astype(int), model.jnt_dofadr[joints].astype(int), active)
 
 
-def make_limits(groups: tuple[MotorGroup, ...], values: Mapping[str, Any], batch: Batch) -> MotorLimits | None:
+def make_motor_limits(groups: tuple[MotorGroup, ...], values: Mapping[str, Any], batch: Batch) -> MotorLimits | None:
     """Return the limits of n rollouts; None where no joint has a motor.
 
     Args:

@@ -6,7 +6,7 @@ from typing import Any
 from sweep.core.errors import InputError, require_choice
 
 
-def iterate_named(
+def iterate_named_entries(
     group: str, given: Any, such: str, allowed: Collection[str], needed: Sequence[str]
 ) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Yield the name and the keys of each entry of a group. Raises `InputError` where a name or a key is not allowed.

@@ -127,7 +127,7 @@ def make_network(name: str, model: Any, folder: Path) -> Network:
     return Network(name, MappingProxyType(inputs), MappingProxyType(outputs), MappingProxyType(metadata), evaluate)
 
 
-def make_policy(network: Network) -> Callable[..., Any]:
+def make_stateless_policy(network: Network) -> Callable[..., Any]:
     """Make a policy without a state from a network with one input, the observation, and one output, the controls.
 
     Raises `InputError` where the network has other inputs or outputs.

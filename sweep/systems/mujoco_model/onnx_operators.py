@@ -36,7 +36,7 @@ class OperatorCall:
         """Return an attribute, or its default."""
         return self.attributes.get(name, default)
 
-    def option(self, name: str, inputs: Sequence[Any], place: int, default: Any = None) -> Any:
+    def attribute_or_input(self, name: str, inputs: Sequence[Any], place: int, default: Any = None) -> Any:
         """Return a value that is an attribute in older operator sets and a constant input in newer ones.
 
         Args:
@@ -95,7 +95,7 @@ def _reduce(function: Callable[[Any, Any, Any, bool], Any]) -> Operator:
     """Make a reduction from a function of module, array, axes and whether axes stay."""
 
     def reduce(call: OperatorCall, x: Any, *axes_input: Any) -> Any:
-        axes = call.option("axes", (x, *axes_input), 1)
+        axes = call.attribute_or_input("axes", (x, *axes_input), 1)
         if (axes is None or not len(axes)) and call.attribute("noop_with_empty_axes", 0):
             return x
         axes = None if axes is None or not len(axes) else tuple(int(one) for one in axes)
@@ -134,7 +134,7 @@ def _swish(call: OperatorCall, x: Any) -> Any:
 
 
 def _clip(call: OperatorCall, x: Any, *bounds: Any) -> Any:
-    low, high = (call.option(name, (x, *bounds), k + 1) for k, name in enumerate(("min", "max")))
+    low, high = (call.attribute_or_input(name, (x, *bounds), k + 1) for k, name in enumerate(("min", "max")))
     return _module(x).clip(x, low, high)
 
 
@@ -177,9 +177,9 @@ def _concat(call: OperatorCall, *arrays: Any) -> Any:
 
 def _slice(call: OperatorCall, x: Any, *more: Any) -> Any:
     given = (x, *more)
-    starts, ends = (np.asarray(call.option(name, given, k)) for name, k in (("starts", 1), ("ends", 2)))
-    axes = call.option("axes", given, 3, range(len(starts)))
-    steps = call.option("steps", given, 4, np.ones(len(starts), int))
+    starts, ends = (np.asarray(call.attribute_or_input(name, given, k)) for name, k in (("starts", 1), ("ends", 2)))
+    axes = call.attribute_or_input("axes", given, 3, range(len(starts)))
+    steps = call.attribute_or_input("steps", given, 4, np.ones(len(starts), int))
     places = [slice(None)] * x.ndim
     for start, end, axis, step in zip(starts, ends, axes, steps, strict=True):
         end = None if step < 0 and end < -x.shape[axis] else int(end)  # as far as it goes
@@ -188,7 +188,7 @@ def _slice(call: OperatorCall, x: Any, *more: Any) -> Any:
 
 
 def _split(call: OperatorCall, x: Any, *more: Any) -> Any:
-    axis, sizes = call.attribute("axis", 0), call.option("split", (x, *more), 1)
+    axis, sizes = call.attribute("axis", 0), call.attribute_or_input("split", (x, *more), 1)
     if sizes is None:
         size = -(-x.shape[axis] // call.outputs)
         ends = np.minimum(size * np.arange(1, call.outputs), x.shape[axis])
@@ -198,7 +198,7 @@ def _split(call: OperatorCall, x: Any, *more: Any) -> Any:
 
 
 def _reshape(call: OperatorCall, x: Any, *more: Any) -> Any:
-    shape = [int(one) for one in call.option("shape", (x, *more), 1)]
+    shape = [int(one) for one in call.attribute_or_input("shape", (x, *more), 1)]
     if not call.attribute("allowzero", 0):
         shape = [x.shape[k] if one == 0 else one for k, one in enumerate(shape)]
     return x.reshape(shape)
@@ -211,12 +211,12 @@ def _flatten(call: OperatorCall, x: Any) -> Any:
 
 
 def _squeeze(call: OperatorCall, x: Any, *more: Any) -> Any:
-    axes = call.option("axes", (x, *more), 1)
+    axes = call.attribute_or_input("axes", (x, *more), 1)
     return _module(x).squeeze(x, axis=None if axes is None else tuple(int(one) for one in axes))
 
 
 def _unsqueeze(call: OperatorCall, x: Any, *more: Any) -> Any:
-    axes = call.option("axes", (x, *more), 1)
+    axes = call.attribute_or_input("axes", (x, *more), 1)
     return _module(x).expand_dims(x, tuple(int(one) for one in axes))
 
 
@@ -231,12 +231,12 @@ def _gather(call: OperatorCall, x: Any, places: Any) -> Any:
 
 
 def _expand(call: OperatorCall, x: Any, *more: Any) -> Any:
-    shape = [int(one) for one in call.option("shape", (x, *more), 1)]
+    shape = [int(one) for one in call.attribute_or_input("shape", (x, *more), 1)]
     return _module(x).broadcast_to(x, np.broadcast_shapes(x.shape, tuple(shape)))
 
 
 def _tile(call: OperatorCall, x: Any, *more: Any) -> Any:
-    return _module(x).tile(x, [int(one) for one in call.option("repeats", (x, *more), 1)])
+    return _module(x).tile(x, [int(one) for one in call.attribute_or_input("repeats", (x, *more), 1)])
 
 
 def _cast(call: OperatorCall, x: Any, *like: Any) -> Any:
@@ -249,7 +249,7 @@ def _shape(call: OperatorCall, x: Any) -> Any:
 
 
 def _fill(call: OperatorCall, *more: Any) -> Any:
-    shape, value = call.option("shape", more, 0), np.ravel(call.attribute("value", np.zeros(1)))
+    shape, value = call.attribute_or_input("shape", more, 0), np.ravel(call.attribute("value", np.zeros(1)))
     return np.full([int(one) for one in shape], value[0])
 
 

@@ -14,7 +14,7 @@ from mujoco.batch import Batch
 from sweep.contract.system import Parameter
 from sweep.core.errors import InputError, require_choice
 from sweep.core.parameters import quantity
-from sweep.systems.mujoco_model.named_groups import iterate_named
+from sweep.systems.mujoco_model.named_groups import iterate_named_entries
 
 PAYLOAD: Mapping[str, Parameter] = {  # numbers of a payload
     "mass": quantity(0.0, "kg", at_least=0),  # of the payload
@@ -42,7 +42,7 @@ def parse_payloads(given: Any, bodies: list[str]) -> tuple[tuple[Payload, ...], 
     """
     payloads, numbers = [], {}
     such = "payloads by name, such as {box: {body: trunk, mass: 2}}"
-    for name, said in iterate_named("payload", given, such, ("body", *PAYLOAD), ("body",)):
+    for name, said in iterate_named_entries("payload", given, such, ("body", *PAYLOAD), ("body",)):
         require_choice(said["body"], bodies, f"payload.{name}.body: {said['body']}")
         if f"{PREFIX}{name}" in bodies:
             raise InputError(f"payload.{name} is not allowed: the model has a body {PREFIX}{name}")

@@ -22,7 +22,7 @@ from sweep.fused.numbers import evaluate_numbers
 from sweep.systems.mujoco_model import files
 from sweep.systems.mujoco_model.batch import BatchStart, controller_inputs, count_ticks
 from sweep.systems.mujoco_model.model_spec import PHYSICAL, ModelSpec, SideValues
-from sweep.systems.mujoco_model.schedules import tabulate
+from sweep.systems.mujoco_model.schedules import tabulate_schedule
 from sweep.systems.mujoco_model.tracking import VelocityTracking
 
 TILE_ROLLOUTS = 64
@@ -34,7 +34,7 @@ def _draw_normal(key: Array, like: Array) -> Array:
     return jax.random.normal(key, like.shape, jnp.float32).astype(like.dtype)
 
 
-def numbers_of(values: Mapping[str, Any]) -> dict[str, Any]:
+def select_numbers(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values that are no names."""
     return {path: value for path, value in values.items() if not isinstance(value, str)}
 
@@ -86,7 +86,7 @@ class ControllerPrograms:
         self._policy = (lambda belief, told, state, key: (told, state)) if control.is_batched else control.policy
         self._metric = make_user_metric(control)
         ticks = round(spec.config.duration / self.period) + 1
-        self._commands = {one.name: tabulate(one, ticks, self.period) for one in spec.schedules}
+        self._commands = {one.name: tabulate_schedule(one, ticks, self.period) for one in spec.schedules}
         tracked = spec.tracked_commands
         self._tracking = VelocityTracking(spec.model, tracked) if tracked else None
         self.call_user_code(self._check, belief)
@@ -208,7 +208,7 @@ class ControllerPrograms:
             duration,
             ctrl,
             self.compute_rollout_metrics(policy_inputs, carried, observable),
-            [numbers_of(world.select_group(name)) for name in ("model", *PHYSICAL)],
+            [select_numbers(world.select_group(name)) for name in ("model", *PHYSICAL)],
             dict(world.values).get("noise.action_delay"),
         )
 
@@ -237,7 +237,7 @@ class ControllerPrograms:
         count_ticks(self._spec, duration)
         if start is not None and not np.isfinite(start).all():
             raise self._error("begins at positions that are not finite")
-        begun.place(start)
+        begun.set_initial_state(start)
         observable = self._spec.observable_state(begun.qpos, begun.qvel, begun.sensors)[0]
         ctrl, _ = found(self.tick_controller, found(self.start_rollout, state, observable, np.int32(1)), observable)
         told = np.tile(ctrl, (TILE_ROLLOUTS, 1))
@@ -266,7 +266,7 @@ class ControllerPrograms:
         spec, model = self._spec, self._spec.model
         first = jax.tree.map(lambda rows: jnp.asarray(rows[0]), begun.policy_inputs)
         start, state, _ = self.call_user_code(self.begin_controller, first)
-        begun.place(start)
+        begun.set_initial_state(start)
         observable = jnp.asarray(spec.observable_state(begun.qpos, begun.qvel, begun.sensors)[0], float)
         carried = self.call_user_code(self.start_rollout, first, state, observable, np.int32(1))
         seen = spec.observe_state(observable)
@@ -403,11 +403,11 @@ class ControllerBatch:
         starts, self._carried, durations = zip(*self._call(lambda: list(map(programs.first, self._given))), strict=True)
         self.start, self.duration = self._joined(starts), self._joined(durations)
 
-    def enter(self, observable: np.ndarray, ticks: np.ndarray) -> None:
+    def begin_rollouts(self, observable: np.ndarray, ticks: np.ndarray) -> None:
         """Begin the rollouts from observable states (n, s), for a number of ticks (n,)."""
         self._carried = self._of_tiles(self._programs.enter, observable, ticks.astype(np.int32))
 
-    def tick(self, observable: np.ndarray) -> np.ndarray:
+    def next_controls(self, observable: np.ndarray) -> np.ndarray:
         """Return the controls (n, nu) of the next tick, from observable states (n, s)."""
         self._tick += 1
         parts, self._carried = zip(*self._of_tiles(self._programs.tick, observable), strict=True)

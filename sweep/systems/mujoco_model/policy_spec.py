@@ -234,7 +234,7 @@ def parse_terms(error_prefix: str, config: Any) -> tuple[TermSpec, ...]:
             raise InputError(f"{error_prefix}[{k}]: a term `sensor` needs the key sensor")
         if made.term == "constant" and not made.values:
             raise InputError(f"{error_prefix}[{k}]: a term `constant` needs the key values")
-        require_clip(f"{error_prefix}[{k}].clip", made.clip)
+        require_clip_range(f"{error_prefix}[{k}].clip", made.clip)
         found.append(made)
     require_unique_labels(error_prefix, [one.label for one in found], "twice")
     return tuple(found)
@@ -252,7 +252,7 @@ def require_unique_labels(error_prefix: str, labels: Sequence[str], where: str) 
         raise InputError(f"{error_prefix}: {min(twice)} stands {where}: give each a name of its own (key name)")
 
 
-def require_clip(key: str, clip: Sequence[float]) -> None:
+def require_clip_range(key: str, clip: Sequence[float]) -> None:
     """Raise `InputError` unless a clip range is empty, or a lower and an upper limit.
 
     Args:
@@ -263,7 +263,7 @@ def require_clip(key: str, clip: Sequence[float]) -> None:
         raise InputError(f"{key} = {list(clip)} is not allowed: the least and the largest value")
 
 
-def joint_numbers(error_prefix: str, config: Any, joints: Sequence[str]) -> np.ndarray:
+def joint_values(error_prefix: str, config: Any, joints: Sequence[str]) -> np.ndarray:
     """Return one number for each joint.
 
     Args:

@@ -90,7 +90,7 @@ def _read_table(file: Path, error_prefix: str) -> dict[str, list[list[float]]]:
     return found
 
 
-def tabulate(schedule: Schedule, ticks: int, period: float) -> np.ndarray:
+def tabulate_schedule(schedule: Schedule, ticks: int, period: float) -> np.ndarray:
     """Return the value of a schedule at each control tick, (ticks,).
 
     Args:

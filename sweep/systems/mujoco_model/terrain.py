@@ -74,7 +74,7 @@ class TerrainConfig:
         return replace(self, **{key: value for key, value in own.items() if key in (*SIZES, "kind", "file")})
 
 
-def is_terrain(path: str) -> bool:
+def is_terrain_path(path: str) -> bool:
     """Return whether a path names a parameter of the terrain."""
     return path.startswith(PREFIX)
 
@@ -99,11 +99,11 @@ def parse_terrain(given: Any) -> tuple[TerrainConfig | None, dict[str, Any]]:
     told = {key: check_value(one, given[key], PREFIX + key) for key, one in structure.items() if key in given}
     shape = TerrainConfig(**told, **{key: given[key] for key in ("geom", "file") if key in given})
     numbers = {key: check_value(one, given.get(key, one.default), PREFIX + key) for key, one in NUMBERS.items()}
-    check_structure(shape)
+    check_terrain_size(shape)
     return shape, {PREFIX + key: value for key, value in numbers.items()}
 
 
-def check_structure(shape: TerrainConfig) -> None:
+def check_terrain_size(shape: TerrainConfig) -> None:
     """Raise `InputError` where a terrain has too many points, or where an image lacks its file."""
     rows, columns = shape.points
     if rows * columns > MOST_POINTS:
@@ -115,7 +115,7 @@ def check_structure(shape: TerrainConfig) -> None:
         raise InputError("model.terrain.kind = image needs model.terrain.file, a PNG file")
 
 
-def check_range(shape: TerrainConfig, numbers: Mapping[str, Any]) -> None:
+def check_height_range(shape: TerrainConfig, numbers: Mapping[str, Any]) -> None:
     """Raise `InputError` where heights leave the range of a height field.
 
     Args:
@@ -129,7 +129,7 @@ def check_range(shape: TerrainConfig, numbers: Mapping[str, Any]) -> None:
         )
 
 
-def place_in_model(spec: mujoco.MjSpec, shape: TerrainConfig, count: int) -> None:
+def replace_floor(spec: mujoco.MjSpec, shape: TerrainConfig, count: int) -> None:
     """Replace the floor of a model's source by a level height field.
 
     Args:
@@ -167,22 +167,22 @@ def _find_floor(spec: mujoco.MjSpec, shape: TerrainConfig) -> mujoco.MjsGeom:
     return planes[0]
 
 
-def check_level(model: mujoco.MjModel) -> None:
+def require_level_floor(model: mujoco.MjModel) -> None:
     """Raise `InputError` where the plane that a terrain replaces is turned."""
-    geom = find_geom(model)
+    geom = find_terrain_geom(model)
     if not np.array_equal(model.geom_quat[geom], [1, 0, 0, 0]):
         name = model.geom(geom).name
         raise InputError(f"model.terrain is not allowed: the plane {name} is turned; it has to be level and along x")
 
 
-def find_geom(model: mujoco.MjModel) -> int:
+def find_terrain_geom(model: mujoco.MjModel) -> int:
     """Return the index of the geom that is the terrain."""
     field = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_HFIELD, f"{FIELD}0")
     (geom,) = np.flatnonzero((model.geom_type == int(Shape.mjGEOM_HFIELD)) & (model.geom_dataid == field))
     return int(geom)
 
 
-def field_slice(model: mujoco.MjModel, number: int = 0) -> slice:
+def height_data_slice(model: mujoco.MjModel, number: int = 0) -> slice:
     """Return where a terrain's heights are in a model's `hfield_data`.
 
     Args:
@@ -203,11 +203,11 @@ class TerrainBatch(NamedTuple):
     varies: bool  # whether numbers of the terrain are axes
 
     @property
-    def field_data(self) -> np.ndarray:
+    def height_data(self) -> np.ndarray:
         """Heights (k, rows * columns) as MuJoCo stores them, in units of `RANGE`."""
         return (self.heights / RANGE).astype(np.float32).reshape(len(self.heights), -1)
 
-    def fields_by_name(self, place: np.ndarray) -> dict[str, np.ndarray]:
+    def metric_inputs(self, place: np.ndarray) -> dict[str, np.ndarray]:
         """Return what metrics are told of the ground.
 
         Args:
@@ -229,13 +229,13 @@ class TerrainBatch(NamedTuple):
     def with_heights(self, model: mujoco.MjModel) -> mujoco.MjModel:
         """Return a copy of a model of k height fields, with the heights of the k terrains."""
         model = copy(model)
-        for k, values in enumerate(self.field_data):
-            model.hfield_data[field_slice(model, k)] = values
+        for k, values in enumerate(self.height_data):
+            model.hfield_data[height_data_slice(model, k)] = values
         return model
 
-    def assign_fields(self, batch: Batch) -> None:
+    def assign_height_fields(self, batch: Batch) -> None:
         """Let every rollout of a batch collide with its own height field."""
-        batch.expand("geom_dataid")[:, find_geom(batch.model)] += self.which
+        batch.expand("geom_dataid")[:, find_terrain_geom(batch.model)] += self.which
 
     def make_picture_model(self, batch: Batch, slot: int, alone: mujoco.MjModel) -> mujoco.MjModel:
         """Return the model of a rollout with its own height field only, for drawing.
@@ -251,14 +251,14 @@ class TerrainBatch(NamedTuple):
                 owner, attribute = fields.locate_field(alone, name)
                 if isinstance(getattr(owner, attribute), np.ndarray):
                     getattr(owner, attribute)[...] = fields.field_values(full, name)
-        alone.hfield_data[field_slice(alone)] = heights.ravel() / RANGE
-        alone.hfield_size[alone.geom_dataid[find_geom(alone)], 3] = GROUND_BELOW - min(
+        alone.hfield_data[height_data_slice(alone)] = heights.ravel() / RANGE
+        alone.hfield_size[alone.geom_dataid[find_terrain_geom(alone)], 3] = GROUND_BELOW - min(
             heights.min(), 0.0
         )  # else it is drawn as a deep block
         return alone
 
 
-def make_batch(
+def make_terrain_batch(
     shape: TerrainConfig, numbers: Mapping[str, np.ndarray], varies: bool, image: np.ndarray | None = None
 ) -> TerrainBatch:
     """Make the terrains of n rollouts.
@@ -289,7 +289,7 @@ def lift_above_terrain(ground: TerrainBatch, batch: Batch, qpos: np.ndarray) -> 
         batch: The batch at its start, whose positions of geoms are worked out.
         qpos: Positions (n, nq) of the rollouts, which change.
     """
-    model, floor = batch.model, find_geom(batch.model)
+    model, floor = batch.model, find_terrain_geom(batch.model)
     free = model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)
     places, turns = batch.bind("geom_xpos"), batch.bind("geom_xmat").reshape(batch.nsim, -1, 3, 3)
     collides = (model.geom_contype | model.geom_conaffinity) != 0
@@ -298,7 +298,7 @@ def lift_above_terrain(ground: TerrainBatch, batch: Batch, qpos: np.ndarray) -> 
         geoms = np.flatnonzero(mine & collides if (mine & collides).any() else mine)
         if not len(geoms):
             continue
-        halves = np.stack([half_extents(model, int(geom), turns[:, geom]) for geom in geoms], axis=1)
+        halves = np.stack([geom_half_extents(model, int(geom), turns[:, geom]) for geom in geoms], axis=1)
         centres = places[:, geoms] + _box_centres(model, geoms, turns) - places[:, [floor]]
         below = centres[..., 2] - halves[..., 2]
         highest = _highest_ground(ground, centres[..., :2], halves[..., :2])
@@ -311,7 +311,7 @@ def _box_centres(model: mujoco.MjModel, geoms: np.ndarray, turns: np.ndarray) ->
     return np.einsum("ngij,gj->ngi", turns[:, geoms], model.geom_aabb[geoms, :3])
 
 
-def half_extents(model: mujoco.MjModel, geom: int, turns: np.ndarray) -> np.ndarray:
+def geom_half_extents(model: mujoco.MjModel, geom: int, turns: np.ndarray) -> np.ndarray:
     """Return half the extents of a geom along the world's axes, exact but for meshes, whose boxes count.
 
     Args:

@@ -29,7 +29,7 @@ NUMBERS: Mapping[str, Parameter] = {  # of a terrain, by key; each kind uses som
 ROUNDING = 1e-9  # of a cell, within which a place counts as on its edge
 
 
-class Ground(NamedTuple):
+class GridPoints(NamedTuple):
     """Places of a height field: in the field's own axes, and along and across the heading."""
 
     x: np.ndarray  # (rows, columns) m
@@ -57,20 +57,20 @@ def _interpolate(values: Callable[[np.ndarray, np.ndarray], np.ndarray], u: np.n
     return (1 - b) * low + b * high
 
 
-def _flat(at: Ground, numbers: Mapping[str, float], image: np.ndarray | None) -> np.ndarray:
+def _flat(at: GridPoints, numbers: Mapping[str, float], image: np.ndarray | None) -> np.ndarray:
     return np.zeros_like(at.x)
 
 
-def _slope(at: Ground, numbers: Mapping[str, float], image: np.ndarray | None) -> np.ndarray:
+def _slope(at: GridPoints, numbers: Mapping[str, float], image: np.ndarray | None) -> np.ndarray:
     return numbers["slope"] * np.maximum(at.along - numbers["start"], 0)
 
 
-def _stairs(at: Ground, numbers: Mapping[str, float], image: np.ndarray | None) -> np.ndarray:
+def _stairs(at: GridPoints, numbers: Mapping[str, float], image: np.ndarray | None) -> np.ndarray:
     number = np.floor((at.along - numbers["start"]) / numbers["run"] + ROUNDING) + 1
     return numbers["rise"] * np.clip(number, 0, np.rint(numbers["steps"]))
 
 
-def _rough(at: Ground, numbers: Mapping[str, float], image: np.ndarray | None) -> np.ndarray:
+def _rough(at: GridPoints, numbers: Mapping[str, float], image: np.ndarray | None) -> np.ndarray:
     seed, spacing = int(np.rint(numbers["seed"])), numbers["spacing"]
     rough = _interpolate(lambda i, j: random_lattice(seed, i, j), at.x / spacing, at.y / spacing)
     return numbers["height"] * rough
@@ -83,11 +83,11 @@ def _within_gap(distance: np.ndarray, numbers: Mapping[str, float]) -> np.ndarra
     return (distance > ROUNDING) & (place > 2 * ROUNDING) & (place < numbers["gap"])
 
 
-def _gaps(at: Ground, numbers: Mapping[str, float], image: np.ndarray | None) -> np.ndarray:
+def _gaps(at: GridPoints, numbers: Mapping[str, float], image: np.ndarray | None) -> np.ndarray:
     return np.where(_within_gap(at.along - numbers["start"], numbers), -numbers["depth"], 0.0)
 
 
-def _stones(at: Ground, numbers: Mapping[str, float], image: np.ndarray | None) -> np.ndarray:
+def _stones(at: GridPoints, numbers: Mapping[str, float], image: np.ndarray | None) -> np.ndarray:
     start, period = numbers["start"], numbers["gap"] + numbers["land"]
     far = np.maximum(np.abs(at.along), np.abs(at.across))
     cells, lost = [], np.zeros(at.x.shape, bool)
@@ -99,7 +99,7 @@ def _stones(at: Ground, numbers: Mapping[str, float], image: np.ndarray | None) 
     return np.where(far <= start + ROUNDING, 0.0, np.where(lost, -numbers["depth"], tops))
 
 
-def _image(at: Ground, numbers: Mapping[str, float], image: np.ndarray | None) -> np.ndarray:
+def _image(at: GridPoints, numbers: Mapping[str, float], image: np.ndarray | None) -> np.ndarray:
     if image is None:
         raise ValueError("an image is needed")
     rows, columns = image.shape
@@ -116,7 +116,7 @@ def _shares(place: np.ndarray) -> np.ndarray:
 class TerrainKind(NamedTuple):
     """A generator of heights, and the numbers that it uses."""
 
-    heights: Callable[[Ground, Mapping[str, float], np.ndarray | None], np.ndarray]
+    heights: Callable[[GridPoints, Mapping[str, float], np.ndarray | None], np.ndarray]
     uses: tuple[str, ...]
 
 
@@ -149,7 +149,7 @@ def compute_heights(
     """
     cos, sin = np.cos(numbers["heading"]), np.sin(numbers["heading"])
     u, v = np.meshgrid(x, y)
-    return KINDS[kind].heights(Ground(u, v, cos * u + sin * v, cos * v - sin * u), numbers, image)
+    return KINDS[kind].heights(GridPoints(u, v, cos * u + sin * v, cos * v - sin * u), numbers, image)
 
 
 def greatest_height(kind: str, numbers: Mapping[str, Any], reach: float) -> Any:

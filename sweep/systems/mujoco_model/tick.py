@@ -30,12 +30,12 @@ LIMIT_SHARE = 0.999  # share of a limit, from which an actuator or a joint is at
 Places = slice | np.ndarray  # of numbers in an array
 
 
-def as_places(numbers: np.ndarray) -> Places:
+def as_slice_if_contiguous(numbers: np.ndarray) -> Places:
     """Return ascending numbers without a gap as a slice, by which NumPy makes no copy; others as they are."""
     return slice(numbers[0], numbers[-1] + 1) if len(numbers) and np.all(np.diff(numbers) == 1) else numbers
 
 
-class ModelParts:
+class ModelPartIndices:
     """Indices of a model's parts, such as feet and hinge joints, in MuJoCo's arrays."""
 
     def __init__(self, own: ModelSpec):
@@ -52,21 +52,21 @@ class ModelParts:
         self.left = np.cross([0.0, 0.0, 1.0], ahead) if ahead[:2].any() else np.array([0.0, 1.0, 0.0])
         self.left /= np.linalg.norm(self.left)
         hinges = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE))
-        self.hinge_dofs = as_places(model.jnt_dofadr[hinges])
+        self.hinge_dofs = as_slice_if_contiguous(model.jnt_dofadr[hinges])
         on_joints = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
         hinge_drives = np.flatnonzero(on_joints & np.isin(model.actuator_trnid[:, 0], hinges))
-        self.hinge_drives = as_places(hinge_drives)
+        self.hinge_drives = as_slice_if_contiguous(hinge_drives)
         self.hinge_gears = np.abs(model.actuator_gear[hinge_drives, 0])
         force_limited = np.flatnonzero(model.actuator_forcelimited)
-        self.force_limited = as_places(force_limited)
+        self.force_limited = as_slice_if_contiguous(force_limited)
         slides = model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)
         limited_joints = np.flatnonzero(model.jnt_limited.astype(bool) & slides)
-        self.limited_joints = as_places(limited_joints)
-        self.limited_positions = as_places(model.jnt_qposadr[limited_joints])
+        self.limited_joints = as_slice_if_contiguous(limited_joints)
+        self.limited_positions = as_slice_if_contiguous(model.jnt_qposadr[limited_joints])
         feet, collisions = own.touch_sensors("feet"), own.touch_sensors("collisions")
         self.feet_count = len(feet)
-        self.foot_sensors = as_places(model.sensor_adr[feet])
-        self.foot_sites = as_places(model.sensor_objid[feet])
+        self.foot_sensors = as_slice_if_contiguous(model.sensor_adr[feet])
+        self.foot_sites = as_slice_if_contiguous(model.sensor_objid[feet])
         self.collision_sensors = model.sensor_adr[collisions]
         self.terrain = own.config.terrain
         has = {
@@ -86,7 +86,7 @@ class ModelParts:
 class ModelStart(NamedTuple):
     """The rollouts of a batch before their first tick."""
 
-    parts: ModelParts
+    parts: ModelPartIndices
     qpos: Array  # (n, nq)
 
     direction_varies = False
@@ -125,11 +125,11 @@ class ModelTick:
         parts: Places of the model's parts.
         steps: Recorded values (n, s, ...) by MuJoCo's name, and `unsolved` (n, s); with pushes `push_work` (n,) in J.
         limits: The models' own limits, `actuator_forcerange` and `jnt_range`, (n, ..., 2); with terrain its fields, see
-            `terrain.TerrainBatch.fields_by_name`.
+            `terrain.TerrainBatch.metric_inputs`.
         start: Positions (n, nq) before the first tick.
     """
 
-    def __init__(self, parts: ModelParts, steps: Mapping[str, Array], limits: Mapping[str, Array], start: Array):
+    def __init__(self, parts: ModelPartIndices, steps: Mapping[str, Array], limits: Mapping[str, Array], start: Array):
         self.parts, self.steps, self.limits, self.start = parts, steps, limits, start
         self.number = steps["qpos"].shape[1]  # of steps
 
@@ -226,7 +226,7 @@ class GroundTouchdownPoints(NamedTuple):
 class ModelRollout(NamedTuple):
     """The rollouts of a batch after their last tick, as NumPy arrays (n, ...)."""
 
-    parts: ModelParts
+    parts: ModelPartIndices
     steps: np.ndarray  # number of physics steps
     start_qpos: np.ndarray  # positions (n, nq)
     end_qpos: np.ndarray  # likewise
@@ -285,7 +285,7 @@ def interpolate_heights(fields: Array, index: Array, place: Array, x: np.ndarray
     return low + xp.where(v >= u, v * (left - low) + u * (high - left), u * (right - low) + v * (high - right))
 
 
-def share_of_steps(
+def make_step_share_metric(
     count: Callable[[ModelTick], Array], column: str, meaning: str, needs: tuple[str, ...] = ()
 ) -> Metric[Array]:
     """Make a metric of the share of the physics steps in which something holds.
@@ -305,7 +305,7 @@ def share_of_steps(
     )
 
 
-def share_at_limit(values: Array, limits: Array) -> Array:
+def sum_share_at_limit(values: Array, limits: Array) -> Array:
     """Return the share of values that are at an end of their range, summed over steps.
 
     Args:

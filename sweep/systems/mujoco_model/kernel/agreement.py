@@ -9,8 +9,8 @@ import numpy as np
 
 from sweep.core.errors import InputError
 from sweep.fused import eager
-from sweep.systems.mujoco_model.kernel.guard import find_pairs
-from sweep.systems.mujoco_model.kernel.layout import FREE, PLANE, Layout, refuse
+from sweep.systems.mujoco_model.kernel.guard import find_unsimulated_pairs
+from sweep.systems.mujoco_model.kernel.layout import FREE, PLANE, RobotLayout, unsupported_model_error
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
 from sweep.systems.mujoco_model.kernel.step import read_state, solve_forward, write_state
 
@@ -99,7 +99,7 @@ def _strict(model: mujoco.MjModel) -> mujoco.MjModel:
     return model
 
 
-def compare_accelerations(layout: Layout, model: mujoco.MjModel, keyframe: int, count: int = STATES) -> Agreement:
+def compare_accelerations(layout: RobotLayout, model: mujoco.MjModel, keyframe: int, count: int = STATES) -> Agreement:
     """Compare accelerations of random states with those of `mj_forward`, in double precision by NumPy.
 
     Args:
@@ -109,14 +109,14 @@ def compare_accelerations(layout: Layout, model: mujoco.MjModel, keyframe: int, 
         count: Number of states.
     """
     drawn = draw_states(model, keyframe, count)
-    watched = {frozenset(pair) for pair in find_pairs(model)}  # such rollouts are simulated elsewhere
+    watched = {frozenset(pair) for pair in find_unsimulated_pairs(model)}  # such rollouts are simulated elsewhere
 
     def is_simulated(data: mujoco.MjData) -> bool:
         return all(frozenset((c.geom1, c.geom2)) not in watched for c in data.contact[: data.ncon])
 
     chosen = [one for one in drawn if is_simulated(one)]
     if not chosen:
-        raise refuse("contacts that all random states around the start of a rollout have")
+        raise unsupported_model_error("contacts that all random states around the start of a rollout have")
     with jax.enable_x64(True):
 
         def forward(qpos, qvel, warm, ctrl):

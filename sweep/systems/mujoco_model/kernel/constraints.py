@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 
 from sweep.systems.mujoco_model.geom_pairs import may_touch
-from sweep.systems.mujoco_model.kernel.layout import BOX, CAPSULE, Layout, Plane, refuse
-from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers, power_of
+from sweep.systems.mujoco_model.kernel.layout import BOX, CAPSULE, CollisionPlane, RobotLayout, unsupported_model_error
+from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers, raise_to_power
 from sweep.systems.mujoco_model.kernel.scalars import (
     NO_MATRIX,
     NOTHING,
@@ -29,7 +29,7 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     square_root,
     where,
 )
-from sweep.systems.mujoco_model.kernel.smooth import RobotState, Smooth, Spatial, wrench_at
+from sweep.systems.mujoco_model.kernel.smooth import RobotState, SmoothTerms, SpatialVector, wrench_at
 
 TINY = 1e-15  # below which MuJoCo takes a number for 0
 LEAST_FRICTION = 1e-5  # MuJoCo's mjMINMU
@@ -38,7 +38,7 @@ ELLIPTIC = int(mujoco.mjtCone.mjCONE_ELLIPTIC)
 CORNERS = np.array([[1, y, z] for y in (-1, 1) for z in (-1, 1)], float)  # one of each opposite pair
 
 
-class Law(NamedTuple):
+class ConstraintLaw(NamedTuple):
     """Stiffness and damping of a constraint, and its impedance by depth, of MuJoCo's `solref` and `solimp`."""
 
     stiffness: Scalar  # 1/s^2
@@ -46,7 +46,7 @@ class Law(NamedTuple):
     impedance: tuple[Scalar, Scalar, Scalar, float, float]  # least, largest, width, middle, power
 
 
-class Point(NamedTuple):
+class CandidatePoint(NamedTuple):
     """A point of a body that can touch a plane: of a sphere, of an end of a capsule, or a corner of a box."""
 
     stack: int
@@ -59,10 +59,10 @@ class Point(NamedTuple):
     real: np.ndarray  # (n,) whether the place of a row is one, and no filling
 
 
-class Contact(NamedTuple):
+class PlaneContacts(NamedTuple):
     """Contacts of like points with a plane: frame, inverse regularization, and wanted acceleration."""
 
-    point: Point
+    point: CandidatePoint
     at: Vector  # from the base's origin
     frame: tuple[Vector, Vector, Vector]  # normal and tangents, world axes
     friction: tuple[Scalar, ...]  # of each dimension after the normal one: sliding twice, torsional, rolling twice
@@ -89,16 +89,16 @@ class JointRow(NamedTuple):
 class Constraints(NamedTuple):
     """All constraints of a state."""
 
-    contacts: tuple[Contact, ...]
+    contacts: tuple[PlaneContacts, ...]
     rows: tuple[JointRow, ...]
     is_elliptic: bool
 
 
-def find_points(layout: Layout, numbers: ModelNumbers, plane: int) -> list[Point]:
+def find_candidate_points(layout: RobotLayout, numbers: ModelNumbers, plane: int) -> list[CandidatePoint]:
     """Return the places that may touch a plane; those of a body alone in rows of `layout.group`."""
     model, found = numbers.model, []
     for s, stack in enumerate(layout.stacks):
-        singles: list[Point] = []
+        singles: list[CandidatePoint] = []
         for geoms in stack.geoms:
             if not all(may_touch(model, int(g), plane) for g in geoms):
                 continue
@@ -113,25 +113,25 @@ def find_points(layout: Layout, numbers: ModelNumbers, plane: int) -> list[Point
             if model.geom_type[geoms[0]] == BOX:
                 for one in CORNERS:
                     corner = to_body_axes(Vector(*(a * float(b) for a, b in zip(size, one, strict=True))))
-                    singles.append(Point(s, place, corner, ZERO, None, stack.bodies, geoms, real))
+                    singles.append(CandidatePoint(s, place, corner, ZERO, None, stack.bodies, geoms, real))
             elif model.geom_type[geoms[0]] == CAPSULE:
                 along = to_body_axes(Vector(ZERO, ZERO, ONE))
                 for side in (1.0, -1.0):
                     end = place + along * (size[1] * side)
-                    singles.append(Point(s, end, NOTHING, size[0], along, stack.bodies, geoms, real))
+                    singles.append(CandidatePoint(s, end, NOTHING, size[0], along, stack.bodies, geoms, real))
             else:
-                singles.append(Point(s, place, NOTHING, size[0], None, stack.bodies, geoms, real))
+                singles.append(CandidatePoint(s, place, NOTHING, size[0], None, stack.bodies, geoms, real))
         packable = stack.n == 1 and len(singles) > 1 and all(_is_known(one) for one in singles)
         found += _pack(singles, layout.group) if packable else singles
     return found
 
 
-def _is_known(point: Point) -> bool:
+def _is_known(point: CandidatePoint) -> bool:
     parts = (*point.centre, *point.corner, point.radius)
     return point.along is None and all(one.is_known for one in parts)
 
 
-def _pack(singles: list[Point], group: int) -> list[Point]:
+def _pack(singles: list[CandidatePoint], group: int) -> list[CandidatePoint]:
     """Put points of one body into rows of `group`; free places repeat the first point and are marked as not real."""
     found = []
     for first in range(0, len(singles), group):
@@ -141,11 +141,11 @@ def _pack(singles: list[Point], group: int) -> list[Point]:
         def join(numbers: list[Scalar]) -> Scalar:
             return Scalar(np.array([one.value for one in numbers]))
 
-        def vectors(name: str, filled: list[Point] = filled) -> Vector:
+        def vectors(name: str, filled: list[CandidatePoint] = filled) -> Vector:
             return Vector(*(join([getattr(one, name)[k] for one in filled]) for k in range(3)))
 
         found.append(
-            Point(
+            CandidatePoint(
                 chosen[0].stack,
                 vectors("centre"),
                 vectors("corner"),
@@ -159,13 +159,15 @@ def _pack(singles: list[Point], group: int) -> list[Point]:
     return found
 
 
-def find_contacts(layout: Layout, numbers: ModelNumbers, state: RobotState, smooth: Smooth) -> list[Contact]:
+def find_contacts(
+    layout: RobotLayout, numbers: ModelNumbers, state: RobotState, smooth: SmoothTerms
+) -> list[PlaneContacts]:
     """Find the contacts of a state with all planes; those that are apart have no weight."""
     found = []
     for plane in layout.planes:
         normal, start = known_vector(plane.normal), locate_plane(numbers, plane)
         height = normal.dot(state.position - start)
-        for point in find_points(layout, numbers, plane.geom):
+        for point in find_candidate_points(layout, numbers, plane.geom):
             place = smooth.places[point.stack]
             centre = place.origin + rotate(place.axes, point.centre)
             if not all(one.is_exactly(0) for one in point.corner):
@@ -179,7 +181,7 @@ def find_contacts(layout: Layout, numbers: ModelNumbers, state: RobotState, smoo
     return found
 
 
-def locate_plane(numbers: ModelNumbers, plane: Plane) -> Vector:
+def locate_plane(numbers: ModelNumbers, plane: CollisionPlane) -> Vector:
     """Return a place of a plane in the world (m), which may differ between rollouts."""
     if numbers.model.geom_bodyid[plane.geom]:
         return known_vector(plane.position)
@@ -202,15 +204,21 @@ def _tangents(normal: Vector, along: Vector | None) -> tuple[Vector, Vector]:
 
 
 def _contact(
-    numbers: ModelNumbers, plane: int, point: Point, distance: Scalar, at: Vector, frame: Any, motion: Spatial
-) -> Contact:
+    numbers: ModelNumbers,
+    plane: int,
+    point: CandidatePoint,
+    distance: Scalar,
+    at: Vector,
+    frame: Any,
+    motion: SpatialVector,
+) -> PlaneContacts:
     """A row of contacts from distances (m), places and the motion of the bodies."""
     model, geoms, ground = numbers.model, point.geoms, np.array([plane])
     dims = np.maximum(model.geom_condim[geoms], model.geom_condim[plane])
     first, second = (model.geom_priority[one] for one in (geoms, ground))
     wins = np.where(first > second, 1, np.where(first < second, -1, 0))
     if len(set(wins.tolist())) > 1 or len(set(dims.tolist())) > 1:
-        raise refuse("limbs whose contacts differ in priority or dimension")
+        raise unsupported_model_error("limbs whose contacts differ in priority or dimension")
     dim = int({0: dims[0], 1: model.geom_condim[geoms[0]], -1: model.geom_condim[plane]}[int(wins[0])])
     law, frictions = _mix(numbers, geoms, ground, int(wins[0]))
     friction = frictions[0]
@@ -229,7 +237,7 @@ def _contact(
     others = tuple(-(one * law.damping) for one in speed[1:])
     regular = friction / square_root(impratio)
     chosen = tuple(frictions[k] for k in FRICTION_OF_DIMENSION[: dim - 1])
-    return Contact(point, at, frame, chosen, regular, weight, (wanted, *others))
+    return PlaneContacts(point, at, frame, chosen, regular, weight, (wanted, *others))
 
 
 def contact_components(frame: Any, linear: Vector, angular: Vector, dim: int) -> tuple[Scalar, ...]:
@@ -252,7 +260,9 @@ def _sum_margins(numbers: ModelNumbers, geoms: np.ndarray, plane: np.ndarray) ->
     return numbers.get("geom_margin", geoms) + numbers.get("geom_margin", plane)
 
 
-def _mix(numbers: ModelNumbers, geoms: np.ndarray, plane: np.ndarray, winner: int) -> tuple[Law, list[Scalar]]:
+def _mix(
+    numbers: ModelNumbers, geoms: np.ndarray, plane: np.ndarray, winner: int
+) -> tuple[ConstraintLaw, list[Scalar]]:
     """Law and friction (sliding, torsional, rolling) of two geoms: of the one of higher priority, or mixed."""
     each = (numbers.get("geom_solmix", geoms), numbers.get("geom_solmix", plane))
     if winner:
@@ -270,17 +280,19 @@ def _mix(numbers: ModelNumbers, geoms: np.ndarray, plane: np.ndarray, winner: in
     if not winner and min(float(numbers.model.geom_solref[g, 0]) for g in (*geoms, *plane)) <= 0:
         least = [smallest(numbers.get("geom_solref", geoms, k), numbers.get("geom_solref", plane, k)) for k in range(2)]
         reference = least  # direct formats are not mixed
-    return make_law(numbers, reference, [mix_number("geom_solimp", k) for k in range(5)]), [
+    return make_constraint_law(numbers, reference, [mix_number("geom_solimp", k) for k in range(5)]), [
         largest(one, LEAST_FRICTION) for one in friction
     ]
 
 
-def make_law(numbers: ModelNumbers, reference: list[Scalar], impedance: list[Scalar]) -> Law:
+def make_constraint_law(numbers: ModelNumbers, reference: list[Scalar], impedance: list[Scalar]) -> ConstraintLaw:
     """Make a law of MuJoCo's `solref` and `solimp`."""
     least, top, middle = (clip(impedance[k], 1e-4, 0.9999) for k in (0, 1, 3))
     width, power = largest(impedance[2], TINY), impedance[4]
     if not (middle.is_known and power.is_known and reference[0].is_known):
-        raise refuse("time constants, or midpoints and powers of impedance, that differ between rollouts")
+        raise unsupported_model_error(
+            "time constants, or midpoints and powers of impedance, that differ between rollouts"
+        )
     time = np.ravel(reference[0].value)
     if (time > 0).all():
         is_safe = not numbers.model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_REFSAFE)
@@ -289,14 +301,14 @@ def make_law(numbers: ModelNumbers, reference: list[Scalar], impedance: list[Sca
         damping = 2 / (top * constant)
     else:
         stiffness, damping = -reference[0] / (top * top), -reference[1] / top
-    return Law(stiffness, damping, (least, top, width, _same(middle), max(1.0, _same(power))))
+    return ConstraintLaw(stiffness, damping, (least, top, width, _same(middle), max(1.0, _same(power))))
 
 
 def _same(number: Scalar) -> float:
     return float(np.ravel(number.value)[0])
 
 
-def compute_impedance(law: Law, depth: Scalar) -> Scalar:
+def compute_impedance(law: ConstraintLaw, depth: Scalar) -> Scalar:
     """Return the impedance at a depth (m), see `getimpedance`."""
     least, top, width, middle, power = law.impedance
     if (top - least).is_exactly(0):
@@ -304,13 +316,13 @@ def compute_impedance(law: Law, depth: Scalar) -> Scalar:
     x = clip(largest(depth, -depth) / width, 0.0, 1.0)
     y = x
     if power != 1:
-        low = power_of(x, power) * (1 / middle ** (power - 1))
-        high = 1 - power_of(1 - x, power) * (1 / (1 - middle) ** (power - 1))
+        low = raise_to_power(x, power) * (1 / middle ** (power - 1))
+        high = 1 - raise_to_power(1 - x, power) * (1 / (1 - middle) ** (power - 1))
         y = where(x < middle, low, high)
     return least + y * (top - least)
 
 
-def find_rows(layout: Layout, numbers: ModelNumbers, state: RobotState) -> list[JointRow]:
+def find_joint_rows(layout: RobotLayout, numbers: ModelNumbers, state: RobotState) -> list[JointRow]:
     """Find limits and friction of all joints that have them."""
     model, found = numbers.model, []
     for joint in layout.joints:
@@ -342,9 +354,9 @@ def find_rows(layout: Layout, numbers: ModelNumbers, state: RobotState) -> list[
     return found
 
 
-def _joint_law(numbers: ModelNumbers, kind: str, ids: np.ndarray) -> Law:
+def _joint_law(numbers: ModelNumbers, kind: str, ids: np.ndarray) -> ConstraintLaw:
     reference = [numbers.get(f"{kind}_solref", ids, k) for k in range(2)]
-    return make_law(numbers, reference, [numbers.get(f"{kind}_solimp", ids, k) for k in range(5)])
+    return make_constraint_law(numbers, reference, [numbers.get(f"{kind}_solimp", ids, k) for k in range(5)])
 
 
 class Curve(NamedTuple):
@@ -354,29 +366,29 @@ class Curve(NamedTuple):
     mixed: tuple[Vector, Vector, Vector] | None  # force by angular motion, by rows; None for condim 1 and 3
     angular: Symmetric  # moment by angular motion
 
-    def push(self, motion: Spatial) -> Spatial:
+    def push(self, motion: SpatialVector) -> SpatialVector:
         """Return force and moment at the contact by the motion of its point and its angular motion."""
         force = self.linear @ motion.linear
         if self.mixed is None:
-            return Spatial(force, NOTHING)
+            return SpatialVector(force, NOTHING)
         force = force + Vector(*(row.dot(motion.angular) for row in self.mixed))
         moment = self.angular @ motion.angular
         for row, speed in zip(self.mixed, motion.linear, strict=True):
             moment = moment + row * speed
-        return Spatial(force, moment)
+        return SpatialVector(force, moment)
 
 
 class _Cone(NamedTuple):
     """Where a residual is, of an elliptic cone of any dimension."""
 
-    normal: Scalar  # scaled by `Contact.regular`
+    normal: Scalar  # scaled by `PlaneContacts.regular`
     sideways: list[Scalar]  # the others, scaled by their friction
     slip: Scalar  # their length
     is_open: Any
     sticks: Any
 
 
-def _find_cone(contact: Contact, residual: tuple[Scalar, ...]) -> _Cone:
+def _find_cone(contact: PlaneContacts, residual: tuple[Scalar, ...]) -> _Cone:
     normal = residual[0] * contact.regular
     sideways = [a * b for a, b in zip(residual[1:], contact.friction, strict=True)]
     slip = square_root(sum((one * one for one in sideways), ZERO))
@@ -390,19 +402,19 @@ def _zones(mu: Scalar, normal: Scalar, slip: Scalar) -> tuple[Any, Any]:
     return is_open, sticks
 
 
-def _sliding_weight(contact: Contact) -> Scalar:
+def _sliding_weight(contact: PlaneContacts) -> Scalar:
     """Weight of a sliding contact's distance from an elliptic cone."""
     square = contact.regular * contact.regular
     return contact.weight / (square * (1 + square))
 
 
-def _sticking_weights(contact: Contact) -> list[Scalar]:
+def _sticking_weights(contact: PlaneContacts) -> list[Scalar]:
     """Weights of the rows of a sticking contact: those after the first have its weight times (friction / regular)^2."""
     ratios = [one / contact.regular for one in contact.friction]
     return [contact.weight, *(contact.weight * one * one for one in ratios)]
 
 
-def contact_force(contact: Contact, residual: tuple[Scalar, ...], is_elliptic: bool) -> tuple[Scalar, ...]:
+def contact_force(contact: PlaneContacts, residual: tuple[Scalar, ...], is_elliptic: bool) -> tuple[Scalar, ...]:
     """Return the forces of a row of contacts, in N, and moments, in N m.
 
     Args:
@@ -429,7 +441,7 @@ def contact_force(contact: Contact, residual: tuple[Scalar, ...], is_elliptic: b
     return tuple(where(cone.sticks, a, where(cone.is_open, ZERO, b)) for a, b in zip(stick, slide, strict=True))
 
 
-def contact_curve(contact: Contact, residual: tuple[Scalar, ...], is_elliptic: bool) -> Curve:
+def contact_curve(contact: PlaneContacts, residual: tuple[Scalar, ...], is_elliptic: bool) -> Curve:
     """Return the second derivative of the cost of a row of contacts, see `contact_force`."""
     weight, dim = contact.weight, contact.dim
     lower = [[ZERO] * (i + 1) for i in range(dim)]  # in the contact's frame
@@ -484,7 +496,7 @@ def _curve_in_world(frame: tuple[Vector, Vector, Vector], lower: list[list[Scala
     return Curve(linear, (mixed[0], mixed[1], mixed[2]), as_symmetric(block(moments, moments)))
 
 
-def _edges(contact: Contact, residual: tuple[Scalar, ...]) -> list[tuple[Scalar, Scalar]]:
+def _edges(contact: PlaneContacts, residual: tuple[Scalar, ...]) -> list[tuple[Scalar, Scalar]]:
     """Residuals of each pair of opposite edges of a pyramid."""
     scaled = [a * b for a, b in zip(contact.friction, residual[1:], strict=True)]
     return [(residual[0] + one, residual[0] - one) for one in scaled]
@@ -493,7 +505,7 @@ def _edges(contact: Contact, residual: tuple[Scalar, ...]) -> list[tuple[Scalar,
 class ContactLine(NamedTuple):
     """The cost of a row of contacts along a change of its residual."""
 
-    contact: Contact
+    contact: PlaneContacts
     edges: list[tuple[Scalar, Scalar]]  # residual and its change, of the normal or of all edges of a pyramid
     normal: tuple[Scalar, Scalar] | None  # of an elliptic cone, scaled: at the start, and its change
     slip: tuple[Scalar, Scalar, Scalar] | None  # square of the slip by the powers of the length, half of the middle one
@@ -523,8 +535,8 @@ class ContactLine(NamedTuple):
         return first, where(sticks, bend, where(is_open, ZERO, slides))
 
 
-def contact_line(
-    contact: Contact, residual: tuple[Scalar, ...], change: tuple[Scalar, ...], is_elliptic: bool
+def contact_cost_derivatives(
+    contact: PlaneContacts, residual: tuple[Scalar, ...], change: tuple[Scalar, ...], is_elliptic: bool
 ) -> ContactLine:
     """Return the cost of a row of contacts along a change of its residual."""
     if contact.dim == 1:
@@ -539,7 +551,7 @@ def contact_line(
     return ContactLine(contact, [], normal, (products[0], products[1], products[2]))
 
 
-def row_force(row: JointRow, residual: Scalar) -> tuple[Scalar, Scalar]:
+def joint_row_force(row: JointRow, residual: Scalar) -> tuple[Scalar, Scalar]:
     """Return the force of a joint's row, and the cost's second derivative."""
     if row.most is None:
         inside = residual < ZERO
@@ -549,10 +561,10 @@ def row_force(row: JointRow, residual: Scalar) -> tuple[Scalar, Scalar]:
     return force, where((pull < row.most) & (-row.most < pull), row.weight, ZERO)
 
 
-def contact_wrench(contact: Contact, force: tuple[Scalar, ...]) -> Spatial:
+def contact_wrench(contact: PlaneContacts, force: tuple[Scalar, ...]) -> SpatialVector:
     """Return the wrench on the body of forces and moments in the contact's frame."""
     parts = [NOTHING, NOTHING]
     for k, one in enumerate(force):
         parts[k // 3] = parts[k // 3] + contact.frame[k % 3] * one
     wrench = wrench_at(contact.at, parts[0])
-    return wrench if contact.dim <= 3 else Spatial(wrench.linear, wrench.angular + parts[1])
+    return wrench if contact.dim <= 3 else SpatialVector(wrench.linear, wrench.angular + parts[1])

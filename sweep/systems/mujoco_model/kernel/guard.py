@@ -19,7 +19,7 @@ from sweep.systems.mujoco_model.kernel.layout import (
     PLANE,
     SHAPES,
     SPHERE,
-    Layout,
+    RobotLayout,
     find_stack,
 )
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
@@ -37,14 +37,14 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     square_root,
     where,
 )
-from sweep.systems.mujoco_model.kernel.smooth import RobotState, Smooth
+from sweep.systems.mujoco_model.kernel.smooth import RobotState, SmoothTerms
 
 NEAR = 2e-3  # m, of a distance that counts as a touch: a pair is looked at once in a tick
 SAMPLES = np.linspace(-1.0, 1.0, 5)  # places along a capsule, at which its distance from a box is computed
 CYLINDER, ELLIPSOID = int(GEOM.mjGEOM_CYLINDER), int(GEOM.mjGEOM_ELLIPSOID)
 
 
-class Hull(NamedTuple):
+class EnclosingHull(NamedTuple):
     """A capsule or a box that encloses a geom, in the body's axes."""
 
     stack: int
@@ -55,27 +55,29 @@ class Hull(NamedTuple):
     is_box: bool
 
 
-def find_pairs(model: mujoco.MjModel) -> list[tuple[int, int]]:
+def find_unsimulated_pairs(model: mujoco.MjModel) -> list[tuple[int, int]]:
     """Return the pairs of geoms that may touch and that the kernel does not simulate."""
     kinds = model.geom_type[pairs := find_geom_pairs(model)]
     is_simulated = (kinds == PLANE).any(axis=1) & np.isin(kinds, SHAPES).any(axis=1)
     return [(int(a), int(b)) for a, b in pairs[~is_simulated]]
 
 
-def enclose(layout: Layout, model: mujoco.MjModel, geom: int) -> Hull:
+def enclose_geom(layout: RobotLayout, model: mujoco.MjModel, geom: int) -> EnclosingHull:
     """Return a capsule or a box that encloses a geom of the robot."""
     stack, member = find_stack(layout, int(model.geom_bodyid[geom]))
     kind, size = int(model.geom_type[geom]), model.geom_size[geom]
     axes, place = rotation_matrix(model.geom_quat[geom]), model.geom_pos[geom].copy()
     if kind in (SPHERE, CAPSULE, CYLINDER):
-        return Hull(stack, member, place, axes, np.array([size[0], 0.0 if kind == SPHERE else size[1], 0]), False)
+        return EnclosingHull(
+            stack, member, place, axes, np.array([size[0], 0.0 if kind == SPHERE else size[1], 0]), False
+        )
     if kind in (BOX, ELLIPSOID):
-        return Hull(stack, member, place, axes, size.copy(), True)
+        return EnclosingHull(stack, member, place, axes, size.copy(), True)
     box = model.geom_aabb[geom]
-    return Hull(stack, member, place + axes @ box[:3], axes, box[3:].copy(), True)
+    return EnclosingHull(stack, member, place + axes @ box[:3], axes, box[3:].copy(), True)
 
 
-def as_capsule(hull: Hull) -> Hull:
+def as_capsule(hull: EnclosingHull) -> EnclosingHull:
     """Return a capsule that encloses a box."""
     if not hull.is_box:
         return hull
@@ -84,8 +86,8 @@ def as_capsule(hull: Hull) -> Hull:
     return hull._replace(axes=hull.axes[:, [order[0], order[1], order[2]]], size=size, is_box=False)
 
 
-def is_near(
-    layout: Layout, numbers: ModelNumbers, state: RobotState, smooth: Smooth, pairs: list[tuple[int, int]]
+def has_near_pair(
+    layout: RobotLayout, numbers: ModelNumbers, state: RobotState, smooth: SmoothTerms, pairs: list[tuple[int, int]]
 ) -> Bool[Array, ""]:
     """Return whether any of the pairs touches, or nearly so.
 
@@ -94,18 +96,18 @@ def is_near(
         numbers: Numbers of the rollout's model.
         state: State of the robot.
         smooth: Kinematics of the state.
-        pairs: Geoms, see `find_pairs`.
+        pairs: Geoms, see `find_unsimulated_pairs`.
     """
     model, near = numbers.model, jnp.asarray(False)
     planes = {plane.geom: plane for plane in layout.planes}
-    kinds: dict[str, list[tuple[Hull, Any]]] = {"plane": [], "box": [], "capsule": []}
+    kinds: dict[str, list[tuple[EnclosingHull, Any]]] = {"plane": [], "box": [], "capsule": []}
     for a, b in pairs:
         if int(model.geom_type[b]) == PLANE:
             a, b = b, a
         if int(model.geom_type[a]) == PLANE:
-            kinds["plane"].append((enclose(layout, model, b), planes[a]))
+            kinds["plane"].append((enclose_geom(layout, model, b), planes[a]))
             continue
-        one, other = enclose(layout, model, a), enclose(layout, model, b)
+        one, other = enclose_geom(layout, model, a), enclose_geom(layout, model, b)
         if other.is_box and not one.is_box:
             one, other = other, one
         kinds["box" if one.is_box else "capsule"].append((one, as_capsule(other)))
@@ -124,7 +126,7 @@ def _join(values: list[Scalar], dtype: Any) -> Scalar:
     return Scalar(jnp.stack([jnp.asarray(one.value, dtype) for one in values]))
 
 
-def _placed(smooth: Smooth, hulls: list[Hull]) -> tuple[Vector, list[Vector], list[Scalar]]:
+def _placed(smooth: SmoothTerms, hulls: list[EnclosingHull]) -> tuple[Vector, list[Vector], list[Scalar]]:
     """Places, axes and sizes of a row of hulls, from the base's origin and in the world's axes."""
 
     every: list[list[Vector]] = []
@@ -140,12 +142,12 @@ def _placed(smooth: Smooth, hulls: list[Hull]) -> tuple[Vector, list[Vector], li
     return joined[0], joined[1:], sizes
 
 
-def _dtype(smooth: Smooth) -> Any:
+def _dtype(smooth: SmoothTerms) -> Any:
     """The precision of a rollout's numbers."""
     return next(x.value.dtype for place in smooth.places for axis in place.axes for x in axis if not x.is_known)
 
 
-def _plane_distance(numbers: ModelNumbers, state: RobotState, smooth: Smooth, row: list[Any]) -> Scalar:
+def _plane_distance(numbers: ModelNumbers, state: RobotState, smooth: SmoothTerms, row: list[Any]) -> Scalar:
     """Height (n,) of the lowest point of each hull above its plane."""
     place, axes, size = _placed(smooth, [hull for hull, _ in row])
     places = [locate_plane(numbers, plane) for _, plane in row]
@@ -162,7 +164,7 @@ def _absolute(number: Scalar) -> Scalar:
     return largest(number, -number)
 
 
-def _box_distance(numbers: ModelNumbers, state: RobotState, smooth: Smooth, row: list[Any]) -> Scalar:
+def _box_distance(numbers: ModelNumbers, state: RobotState, smooth: SmoothTerms, row: list[Any]) -> Scalar:
     """Lower bound (n,) of the distance of each capsule from its box.
 
     The distance is computed at some places along the capsule, and reduced by half the gap between them.
@@ -183,7 +185,7 @@ def _box_distance(numbers: ModelNumbers, state: RobotState, smooth: Smooth, row:
     return nearest - capsule[0] - capsule[1] * gap
 
 
-def _capsule_distance(numbers: ModelNumbers, state: RobotState, smooth: Smooth, row: list[Any]) -> Scalar:
+def _capsule_distance(numbers: ModelNumbers, state: RobotState, smooth: SmoothTerms, row: list[Any]) -> Scalar:
     """Distance (n,) of two capsules: that of their axes' segments less both radii."""
     place, axes, size = _placed(smooth, [pair[0] for pair in row])
     middle, others, other = _placed(smooth, [pair[1] for pair in row])

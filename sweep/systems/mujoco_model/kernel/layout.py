@@ -1,7 +1,7 @@
 """Stacks of like bodies of a model, and the features of models that the kernel simulates.
 
 Bodies form stacks: the base alone, and limbs that are alike joint by joint, such as the four hips of a quadruped, in
-which one operation computes all. A stack is a body alone (n = 1) or one body of each of `Layout.group` limbs.
+which one operation computes all. A stack is a body alone (n = 1) or one body of each of `RobotLayout.group` limbs.
 """
 
 from typing import NamedTuple
@@ -42,7 +42,7 @@ ALLOWED_FLAGS = (  # the last ones change nothing of what the kernel simulates, 
 FEW = 2  # bodies of a stack, at least
 
 
-class Stack(NamedTuple):
+class BodyStack(NamedTuple):
     """Like bodies, one of each limb, in which one operation computes all; or one body alone."""
 
     bodies: np.ndarray  # (n,) ids
@@ -56,7 +56,7 @@ class Stack(NamedTuple):
         return len(self.bodies)
 
 
-class Plane(NamedTuple):
+class CollisionPlane(NamedTuple):
     """A plane of the world that geoms may touch."""
 
     geom: int  # id
@@ -64,13 +64,13 @@ class Plane(NamedTuple):
     normal: np.ndarray  # (3,)
 
 
-class Layout(NamedTuple):
+class RobotLayout(NamedTuple):
     """The stacks of a model, each after that of its parents; the first is the base."""
 
-    stacks: tuple[Stack, ...]
+    stacks: tuple[BodyStack, ...]
     group: int  # bodies of a stack
     has_free_base: bool
-    planes: tuple[Plane, ...]
+    planes: tuple[CollisionPlane, ...]
 
     @property
     def joints(self) -> list[tuple[int, int]]:
@@ -89,9 +89,9 @@ class Layout(NamedTuple):
         return found
 
 
-def find_layout(model: mujoco.MjModel) -> Layout:
+def find_layout(model: mujoco.MjModel) -> RobotLayout:
     """Find the stacks of like bodies of a model. Raises `InputError` where the kernel cannot simulate the model."""
-    check_features(model)
+    require_supported_features(model)
     planes = find_planes(model)
     children: dict[int, list[int]] = {b: [] for b in range(model.nbody)}
     for body in range(1, model.nbody):
@@ -101,7 +101,9 @@ def find_layout(model: mujoco.MjModel) -> Layout:
     if base:
         stray = [b for b in range(1, model.nbody) if model.body_weldid[b] and model.body_rootid[b] != base]
         if model.body_parentid[base] or stray:
-            raise refuse(f"body {model.body(stray[0] if stray else base).name} beside the robot with its free base")
+            raise unsupported_model_error(
+                f"body {model.body(stray[0] if stray else base).name} beside the robot with its free base"
+            )
 
     def touching(body: int) -> list[int]:
         mine = [g for g in range(model.ngeom) if model.geom_bodyid[g] == body and model.body_weldid[body]]
@@ -113,7 +115,7 @@ def find_layout(model: mujoco.MjModel) -> Layout:
         return [j for j in range(first, first + model.body_jntnum[body]) if model.jnt_type[j] != FREE]
 
     def signature(body: int) -> tuple:
-        kinds = tuple((int(model.jnt_type[j]), len(drives(model, j))) for j in own_joints(body))
+        kinds = tuple((int(model.jnt_type[j]), len(joint_actuators(model, j))) for j in own_joints(body))
         shapes = tuple(int(model.geom_type[g]) for g in touching(body))
         return kinds, shapes, tuple(signature(child) for child in moving(children[body]))
 
@@ -136,13 +138,13 @@ def find_layout(model: mujoco.MjModel) -> Layout:
 
     many = [(len(same) * size(form), len(same)) for form, same in alone(base) if len(same) >= FEW and size(form)]
     group = max(many)[1] if many else FEW
-    stacks: list[Stack] = []
+    stacks: list[BodyStack] = []
 
     def add(bodies: list[int], parent: int) -> None:
         joints = tuple(np.array(one) for one in zip(*(own_joints(b) for b in bodies), strict=True))
         geoms = tuple(np.array(one) for one in zip(*(touching(b) for b in bodies), strict=True))
         place = len(stacks)
-        stacks.append(Stack(np.array(bodies), parent, joints, geoms))
+        stacks.append(BodyStack(np.array(bodies), parent, joints, geoms))
         if len(bodies) > 1:
             for each in zip(*(moving(children[b]) for b in bodies), strict=True):
                 add(list(each), place)
@@ -155,19 +157,19 @@ def find_layout(model: mujoco.MjModel) -> Layout:
                     add([one], place)
 
     add([base], -1)
-    return Layout(tuple(stacks), group, bool(base), planes)
+    return RobotLayout(tuple(stacks), group, bool(base), planes)
 
 
-def find_stack(layout: Layout, body: int) -> tuple[int, int]:
+def find_stack(layout: RobotLayout, body: int) -> tuple[int, int]:
     """Return the stack of a body, and its place in it. Raises `InputError` where it is not the robot's."""
     for s, stack in enumerate(layout.stacks):
         found = np.flatnonzero(stack.bodies == body)
         if len(found):
             return s, int(found[0])
-    raise refuse(f"contacts, sensors or pushes of body number {body}, which does not move")
+    raise unsupported_model_error(f"contacts, sensors or pushes of body number {body}, which does not move")
 
 
-def find_planes(model: mujoco.MjModel) -> tuple[Plane, ...]:
+def find_planes(model: mujoco.MjModel) -> tuple[CollisionPlane, ...]:
     """Return the planes of a model that collide, where they are in the world."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -175,20 +177,20 @@ def find_planes(model: mujoco.MjModel) -> tuple[Plane, ...]:
     normals[np.abs(normals) < 1e-15] = 0  # so that constants fold
     collides = (model.geom_contype | model.geom_conaffinity) != 0
     found = np.flatnonzero((model.geom_type == PLANE) & collides)
-    return tuple(Plane(int(g), data.geom_xpos[g].copy(), normals[g].copy()) for g in found)
+    return tuple(CollisionPlane(int(g), data.geom_xpos[g].copy(), normals[g].copy()) for g in found)
 
 
-def drives(model: mujoco.MjModel, joint: int) -> list[int]:
+def joint_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
     """Return the actuators of a joint."""
     return [k for k in range(model.nu) if model.actuator_trnid[k, 0] == joint]
 
 
-def refuse(what: str) -> InputError:
+def unsupported_model_error(what: str) -> InputError:
     """Return the error for a model that has something which the kernel does not simulate."""
     return InputError(f"engine.name = kernel is not allowed: it does not simulate {what} (native and mjx do)")
 
 
-def check_features(model: mujoco.MjModel) -> None:
+def require_supported_features(model: mujoco.MjModel) -> None:
     """Raise `InputError`, naming all features of a model that the kernel does not simulate."""
     opt, jnt = model.opt, model.jnt_type
     on_joint = np.isin(model.actuator_trntype, [int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)])
@@ -232,4 +234,4 @@ def check_features(model: mujoco.MjModel) -> None:
         f"{', '.join(other)}": len(other),
     }
     if found := [what for what, is_there in wrong.items() if is_there]:
-        raise refuse(", ".join(found))
+        raise unsupported_model_error(", ".join(found))

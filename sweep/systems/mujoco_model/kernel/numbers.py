@@ -65,7 +65,7 @@ class ModelNumbers:
         return column(0), column(1), column(2)
 
 
-def power_of(base: Scalar, exponent: float) -> Scalar:
+def raise_to_power(base: Scalar, exponent: float) -> Scalar:
     """Return a number to a constant power."""
     if exponent == int(exponent):
         found = base

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from sweep.systems.mujoco_model.kernel.constraints import contact_force
-from sweep.systems.mujoco_model.kernel.layout import BOX, SPHERE, Layout, find_stack, refuse
+from sweep.systems.mujoco_model.kernel.layout import BOX, SPHERE, RobotLayout, find_stack, unsupported_model_error
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
 from sweep.systems.mujoco_model.kernel.scalars import (
     NOTHING,
@@ -23,7 +23,7 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     square_root,
     where,
 )
-from sweep.systems.mujoco_model.kernel.smooth import RobotState, Spatial, relative_acceleration
+from sweep.systems.mujoco_model.kernel.smooth import RobotState, SpatialVector, relative_acceleration
 from sweep.systems.mujoco_model.kernel.step import StepResult
 
 Sensor = mujoco.mjtSensor
@@ -44,7 +44,7 @@ class Frame:
     """
 
     def __init__(
-        self, layout: Layout, numbers: ModelNumbers, state: RobotState, result: StepResult, kind: int, number: int
+        self, layout: RobotLayout, numbers: ModelNumbers, state: RobotState, result: StepResult, kind: int, number: int
     ):
         model, ids = numbers.model, np.array([number])
         self._state, self._result = state, result
@@ -81,7 +81,7 @@ class Frame:
         for joint in self._layout.moving_joints(self._stack):
             linear, angular = (part.member(self._member) for part in smooth.motions[joint])
             rate = found.joints[joint].member(self._member)
-            moved = moved + Spatial(linear, angular).velocity_at(self.place) * rate
+            moved = moved + SpatialVector(linear, angular).velocity_at(self.place) * rate
         return total + moved
 
     @property
@@ -92,7 +92,11 @@ class Frame:
 
 
 def compute_sensors(
-    layout: Layout, numbers: ModelNumbers, state: RobotState, result: StepResult, wanted: Container[int] | None = None
+    layout: RobotLayout,
+    numbers: ModelNumbers,
+    state: RobotState,
+    result: StepResult,
+    wanted: Container[int] | None = None,
 ) -> list[Scalar]:
     """Compute the sensors of a state.
 
@@ -105,7 +109,7 @@ def compute_sensors(
         wanted: Ids of sensors; None for all.
 
     Returns:
-        Numbers (nsensordata), 0 for sensors that are not wanted, or of `find_unknown`.
+        Numbers (nsensordata), 0 for sensors that are not wanted, or of `find_unsupported_sensors`.
     """
     model, found = numbers.model, []
     for k in range(model.nsensor):
@@ -123,13 +127,13 @@ def compute_sensors(
     return found
 
 
-def find_unknown(layout: Layout, model: mujoco.MjModel) -> dict[int, str]:
+def find_unsupported_sensors(layout: RobotLayout, model: mujoco.MjModel) -> dict[int, str]:
     """Return the sensors that are not computed, with the reason."""
     why = {k: _why_unknown(layout, model, k) for k in range(model.nsensor)}
     return {k: reason for k, reason in why.items() if reason}
 
 
-def _why_unknown(layout: Layout, model: mujoco.MjModel, k: int) -> str:
+def _why_unknown(layout: RobotLayout, model: mujoco.MjModel, k: int) -> str:
     kind, name = int(model.sensor_type[k]), Sensor(int(model.sensor_type[k])).name.removeprefix("mjSENS_").lower()
     if kind not in RULES:
         return name
@@ -160,19 +164,19 @@ def _of_frame(read: Callable[[Frame], Any]) -> Callable[..., Any]:
 
 
 def _joint(read: Callable[[RobotState, tuple[int, int]], Scalar]) -> Callable[..., list[Scalar]]:
-    def rule(layout: Layout, numbers: ModelNumbers, state: RobotState, result: StepResult, k: int) -> list[Scalar]:
+    def rule(layout: RobotLayout, numbers: ModelNumbers, state: RobotState, result: StepResult, k: int) -> list[Scalar]:
         joint = int(numbers.model.sensor_objid[k])
         for s, place in layout.joints:
             ids = layout.stacks[s].joints[place]
             if joint in ids:
                 return [read(state, (s, place)).member(int(np.flatnonzero(ids == joint)[0]))]
-        raise refuse("sensors of the free joint")
+        raise unsupported_model_error("sensors of the free joint")
 
     return rule
 
 
 def _actuator(read: Callable[[Any], Scalar]) -> Callable[..., list[Scalar]]:
-    def rule(layout: Layout, numbers: ModelNumbers, state: RobotState, result: StepResult, k: int) -> list[Scalar]:
+    def rule(layout: RobotLayout, numbers: ModelNumbers, state: RobotState, result: StepResult, k: int) -> list[Scalar]:
         number = int(numbers.model.sensor_objid[k])
         (drive,) = [one for one in result.drives if number in one.actuators]
         return [read(drive).member(int(np.flatnonzero(drive.actuators == number)[0]))]
@@ -180,7 +184,7 @@ def _actuator(read: Callable[[Any], Scalar]) -> Callable[..., list[Scalar]]:
     return rule
 
 
-def _touch(layout: Layout, numbers: ModelNumbers, state: RobotState, result: StepResult, k: int) -> list[Scalar]:
+def _touch(layout: RobotLayout, numbers: ModelNumbers, state: RobotState, result: StepResult, k: int) -> list[Scalar]:
     """Sum of the normal forces of contacts of the site's body, whose normals meet the site's volume."""
     model, problem = numbers.model, result.problem
     site = int(model.sensor_objid[k])

@@ -5,7 +5,7 @@ Composite rigid bodies and the recursive Newton-Euler method, over stacks of lik
 
 from typing import NamedTuple
 
-from sweep.systems.mujoco_model.kernel.layout import HINGE, Layout
+from sweep.systems.mujoco_model.kernel.layout import HINGE, RobotLayout
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
 from sweep.systems.mujoco_model.kernel.scalars import (
     NO_MATRIX,
@@ -26,22 +26,22 @@ from sweep.systems.mujoco_model.kernel.scalars import (
 UPRIGHT: Axes = (Vector(ONE, ZERO, ZERO), Vector(ZERO, ONE, ZERO), Vector(ZERO, ZERO, ONE))
 
 
-class Spatial(NamedTuple):
+class SpatialVector(NamedTuple):
     """Velocity of a body at the base's origin and angular velocity; or a force and its moment about that origin."""
 
     linear: Vector
     angular: Vector
 
-    def __add__(self, other: "Spatial") -> "Spatial":  # pyright: ignore[reportIncompatibleMethodOverride]
-        return Spatial(self.linear + other.linear, self.angular + other.angular)
+    def __add__(self, other: "SpatialVector") -> "SpatialVector":  # pyright: ignore[reportIncompatibleMethodOverride]
+        return SpatialVector(self.linear + other.linear, self.angular + other.angular)
 
-    def __sub__(self, other: "Spatial") -> "Spatial":
-        return Spatial(self.linear - other.linear, self.angular - other.angular)
+    def __sub__(self, other: "SpatialVector") -> "SpatialVector":
+        return SpatialVector(self.linear - other.linear, self.angular - other.angular)
 
-    def __mul__(self, factor: Scalar) -> "Spatial":  # pyright: ignore[reportIncompatibleMethodOverride]
-        return Spatial(self.linear * factor, self.angular * factor)
+    def __mul__(self, factor: Scalar) -> "SpatialVector":  # pyright: ignore[reportIncompatibleMethodOverride]
+        return SpatialVector(self.linear * factor, self.angular * factor)
 
-    def dot(self, other: "Spatial") -> Scalar:
+    def dot(self, other: "SpatialVector") -> Scalar:
         """Return the power of a force at a motion."""
         return self.linear.dot(other.linear) + self.angular.dot(other.angular)
 
@@ -49,17 +49,17 @@ class Spatial(NamedTuple):
         """Return the velocity of a point of the body that has this motion."""
         return self.linear + self.angular.cross(point)
 
-    def total(self, n: int) -> "Spatial":
+    def total(self, n: int) -> "SpatialVector":
         """Sum over a stack of n bodies."""
-        return Spatial(*(Vector(*(one.total(n) for one in part)) for part in self))
+        return SpatialVector(*(Vector(*(one.total(n) for one in part)) for part in self))
 
 
-STILL = Spatial(NOTHING, NOTHING)
+STILL = SpatialVector(NOTHING, NOTHING)
 
 
-def wrench_at(point: Vector, force: Vector) -> Spatial:
+def wrench_at(point: Vector, force: Vector) -> SpatialVector:
     """Return a force at a point, with its moment about the origin."""
-    return Spatial(force, point.cross(force))
+    return SpatialVector(force, point.cross(force))
 
 
 class RigidInertia(NamedTuple):
@@ -72,9 +72,9 @@ class RigidInertia(NamedTuple):
     def __add__(self, other: "RigidInertia") -> "RigidInertia":  # pyright: ignore[reportIncompatibleMethodOverride]
         return RigidInertia(self.mass + other.mass, self.moment + other.moment, self.inertia + other.inertia)
 
-    def momentum(self, motion: Spatial) -> Spatial:
+    def momentum(self, motion: SpatialVector) -> SpatialVector:
         """Return the momentum at a motion."""
-        return Spatial(
+        return SpatialVector(
             motion.linear * self.mass + motion.angular.cross(self.moment),
             self.moment.cross(motion.linear) + self.inertia @ motion.angular,
         )
@@ -91,26 +91,26 @@ class RigidInertia(NamedTuple):
 NO_INERTIA = RigidInertia(ZERO, NOTHING, NO_MATRIX)
 
 
-class BodyPlace(NamedTuple):
+class BodyPose(NamedTuple):
     """Place, axes and motion of the bodies of a stack."""
 
     origin: Vector  # from the base's origin
     axes: Axes
     centre: Vector  # of mass
-    motion: Spatial  # of the base's origin with the body
+    motion: SpatialVector  # of the base's origin with the body
     acceleration: Vector  # of the body's origin less gravity, while no joint and no base accelerates
     spin_rate: Vector  # likewise, of its spin
 
 
-class Smooth(NamedTuple):
+class SmoothTerms(NamedTuple):
     """Kinematics, mass matrix and bias forces of a state."""
 
-    places: tuple[BodyPlace, ...]  # by stack
-    motions: dict[tuple[int, int], Spatial]  # of each joint per unit of its rate
+    places: tuple[BodyPose, ...]  # by stack
+    motions: dict[tuple[int, int], SpatialVector]  # of each joint per unit of its rate
     whole: RigidInertia
-    momenta: dict[tuple[int, int], Spatial]  # of all that a joint moves, per unit of its rate
+    momenta: dict[tuple[int, int], SpatialVector]  # of all that a joint moves, per unit of its rate
     mass: dict[tuple[tuple[int, int], tuple[int, int]], Scalar]  # of joints, (inner, outer), with armature
-    bias_base: Spatial  # force that keeps all accelerations 0
+    bias_base: SpatialVector  # force that keeps all accelerations 0
     bias: dict[tuple[int, int], Scalar]
 
 
@@ -119,17 +119,17 @@ class RobotState(NamedTuple):
 
     position: Vector  # of the base
     quat: tuple[Scalar, Scalar, Scalar, Scalar]
-    velocity: Spatial  # of the base
+    velocity: SpatialVector  # of the base
     angles: dict[tuple[int, int], Scalar]  # rad or m, by joint
     rates: dict[tuple[int, int], Scalar]
-    warm_base: Spatial  # accelerations of the step before
+    warm_base: SpatialVector  # accelerations of the step before
     warm: dict[tuple[int, int], Scalar]
 
 
-def compute_smooth(layout: Layout, numbers: ModelNumbers, state: RobotState) -> Smooth:
+def compute_smooth(layout: RobotLayout, numbers: ModelNumbers, state: RobotState) -> SmoothTerms:
     """Compute kinematics, mass matrix and bias forces of a state."""
     gravity = numbers.vector("opt.gravity")
-    places: list[BodyPlace] = []
+    places: list[BodyPose] = []
     motions, forces, inertias = {}, [], []
     for s, stack in enumerate(layout.stacks):
         if stack.parent < 0:
@@ -162,7 +162,7 @@ def compute_smooth(layout: Layout, numbers: ModelNumbers, state: RobotState) -> 
                 arm = -rotate(axes, anchor)
                 acceleration = acceleration + relative_acceleration(spin, spin_rate, arm)
                 origin = point + arm
-                motions[s, k] = Spatial(point.cross(world), world)
+                motions[s, k] = SpatialVector(point.cross(world), world)
             else:
                 world = rotate(axes, axis)  # pyright: ignore[reportArgumentType]
                 slid = world * moved
@@ -170,16 +170,16 @@ def compute_smooth(layout: Layout, numbers: ModelNumbers, state: RobotState) -> 
                     acceleration + relative_acceleration(spin, spin_rate, slid) + spin.cross(world * rate) * 2.0
                 )
                 origin = origin + slid
-                motions[s, k] = Spatial(world, NOTHING)
+                motions[s, k] = SpatialVector(world, NOTHING)
             motion = motion + motions[s, k] * rate
         arm = rotate(axes, numbers.vector("body_ipos", stack.bodies))  # pyright: ignore[reportArgumentType]
         centre, mass = origin + arm, numbers.get("body_mass", stack.bodies)
         own = _inertia(numbers, axes, stack.bodies)  # pyright: ignore[reportArgumentType]
         force = (acceleration + relative_acceleration(spin, spin_rate, arm)) * mass
         moment = own @ spin_rate + spin.cross(own @ spin)
-        forces.append(Spatial(force, moment + centre.cross(force)))
+        forces.append(SpatialVector(force, moment + centre.cross(force)))
         inertias.append(RigidInertia(mass, centre * mass, own + _point_inertia(mass, centre)))
-        places.append(BodyPlace(origin, axes, centre, motion, acceleration, spin_rate))  # pyright: ignore
+        places.append(BodyPose(origin, axes, centre, motion, acceleration, spin_rate))  # pyright: ignore
     momenta, mass_matrix, bias = {}, {}, {}
     for s in reversed(range(len(layout.stacks))):
         stack = layout.stacks[s]
@@ -194,10 +194,10 @@ def compute_smooth(layout: Layout, numbers: ModelNumbers, state: RobotState) -> 
             up = layout.stacks[stack.parent].n == 1 and stack.n > 1
             forces[stack.parent] += forces[s].total(stack.n) if up else forces[s]
             inertias[stack.parent] += inertias[s].total(stack.n) if up else inertias[s]
-    return Smooth(tuple(places), motions, inertias[0], momenta, mass_matrix, forces[0], bias)
+    return SmoothTerms(tuple(places), motions, inertias[0], momenta, mass_matrix, forces[0], bias)
 
 
-def inner_joints(layout: Layout, joint: tuple[int, int]) -> list[tuple[int, int]]:
+def inner_joints(layout: RobotLayout, joint: tuple[int, int]) -> list[tuple[int, int]]:
     """Return the joints between the base and `joint`, from the base outward, without itself."""
     moving = layout.moving_joints(joint[0])
     return moving[: moving.index(joint)]

@@ -15,13 +15,13 @@ from sweep.systems.mujoco_model.kernel.constraints import (
     Constraints,
     Curve,
     contact_components,
+    contact_cost_derivatives,
     contact_curve,
     contact_force,
-    contact_line,
     contact_wrench,
-    row_force,
+    joint_row_force,
 )
-from sweep.systems.mujoco_model.kernel.layout import Layout
+from sweep.systems.mujoco_model.kernel.layout import RobotLayout
 from sweep.systems.mujoco_model.kernel.scalars import (
     NOTHING,
     ONE,
@@ -33,7 +33,7 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     square_root,
     where,
 )
-from sweep.systems.mujoco_model.kernel.smooth import STILL, Smooth, Spatial, inner_joints
+from sweep.systems.mujoco_model.kernel.smooth import STILL, SmoothTerms, SpatialVector, inner_joints
 
 Joint = tuple[int, int]
 TRIALS = 20  # of a search for a step's length, at most; mostly one or two are enough
@@ -45,7 +45,7 @@ ROUNDING = 32  # a slope of so many rounding errors of that at the start is leve
 class Acceleration(NamedTuple):
     """Accelerations of the base and of each joint; or generalized forces on them."""
 
-    base: Spatial
+    base: SpatialVector
     joints: dict[Joint, Scalar]
 
     def add_scaled(self, factor: Scalar, other: "Acceleration") -> "Acceleration":
@@ -74,7 +74,7 @@ class Residuals(NamedTuple):
         return Residuals(contacts, tuple(a + b * factor for a, b in zip(self.rows, other.rows, strict=True)))
 
 
-class Total:
+class StackTotal:
     """A sum of numbers; those of stacks are added up over the stack once, when the sum is asked for."""
 
     def __init__(self, single: Scalar = ZERO):
@@ -95,28 +95,28 @@ class Total:
         return self._single if self._stack.is_exactly(0) else self._single + self._stack.total(1)
 
 
-class Problem(NamedTuple):
+class StepProblem(NamedTuple):
     """The equation of a step: M a = f + forces of constraints."""
 
-    layout: Layout
-    smooth: Smooth
+    layout: RobotLayout
+    smooth: SmoothTerms
     constraints: Constraints
     force: Acceleration  # f: all forces but those of constraints
 
-    def n(self, joint: Joint) -> int:
+    def stack_size(self, joint: Joint) -> int:
         """Return the number of bodies in the joint's stack."""
         return self.layout.stacks[joint[0]].n
 
     def momentum(self, a: Acceleration) -> Acceleration:
         """Return M a."""
         smooth, has_base = self.smooth, self.layout.has_free_base
-        base = [Total() for _ in range(6)]
-        joints = {joint: Total() for joint in a.joints}
+        base = [StackTotal() for _ in range(6)]
+        joints = {joint: StackTotal() for joint in a.joints}
         for joint, rate in a.joints.items():
-            n = self.n(joint)
+            n = self.stack_size(joint)
             for inner in [*inner_joints(self.layout, joint), joint]:
                 entry = smooth.mass[inner, joint]
-                joints[inner].add(entry * rate, n if self.n(inner) == 1 else 1)
+                joints[inner].add(entry * rate, n if self.stack_size(inner) == 1 else 1)
                 if inner != joint:
                     joints[joint].add(entry * a.joints[inner], 1)
             if has_base:
@@ -148,24 +148,28 @@ class Problem(NamedTuple):
 
     def constraint_force(self, residuals: Residuals) -> Acceleration:
         """Return the generalized forces of constraints."""
-        base = [Total() for _ in range(6)]
-        joints = {joint: Total() for joint in self.force.joints}
+        base = [StackTotal() for _ in range(6)]
+        joints = {joint: StackTotal() for joint in self.force.joints}
         for one, residual in zip(self.constraints.contacts, residuals.contacts, strict=True):
             wrench = contact_wrench(one, contact_force(one, residual, self.constraints.is_elliptic))
             self._spread(wrench, one, base, joints)
         for row, residual in zip(self.constraints.rows, residuals.rows, strict=True):
-            joints[row.joint].add(row.side * row_force(row, residual)[0], 1)
+            joints[row.joint].add(row.side * joint_row_force(row, residual)[0], 1)
         return Acceleration(_spatial([one.value for one in base]), {joint: one.value for joint, one in joints.items()})
 
-    def _spread(self, wrench: Spatial, contact: Any, base: list[Total], joints: dict[Joint, Total]) -> None:
+    def _spread(
+        self, wrench: SpatialVector, contact: Any, base: list[StackTotal], joints: dict[Joint, StackTotal]
+    ) -> None:
         n = len(contact.point.real)
         if self.layout.has_free_base:
             for total, part in zip(base, _parts(wrench), strict=True):
                 total.add(part, n)
         for joint in self.layout.moving_joints(contact.point.stack):
-            joints[joint].add(self.smooth.motions[joint].dot(wrench), n if self.n(joint) == 1 else 1)
+            joints[joint].add(self.smooth.motions[joint].dot(wrench), n if self.stack_size(joint) == 1 else 1)
 
-    def solve(self, right: Acceleration, curves: list[Curve] | None, stiff: dict[Joint, Scalar]) -> Acceleration:
+    def solve_linear_system(
+        self, right: Acceleration, curves: list[Curve] | None, stiff: dict[Joint, Scalar]
+    ) -> Acceleration:
         """Solve one linear system of Newton's method, (M + Jᵀ C J + diag) x = right.
 
         Args:
@@ -175,9 +179,9 @@ class Problem(NamedTuple):
         """
         joints, has_base = [*self.force.joints], self.layout.has_free_base
         smooth = self.smooth
-        corner = [[Total() for _ in range(i + 1)] for i in range(6)]  # the base's block, lower triangle
-        side: dict[Joint, list[Total]] = {}  # the base's rows by joint
-        entries: dict[tuple[Joint, Joint], Total] = {}
+        corner = [[StackTotal() for _ in range(i + 1)] for i in range(6)]  # the base's block, lower triangle
+        side: dict[Joint, list[StackTotal]] = {}  # the base's rows by joint
+        entries: dict[tuple[Joint, Joint], StackTotal] = {}
         if has_base:
             whole = smooth.whole
             h, inertia = whole.moment, whole.inertia.rows
@@ -185,17 +189,17 @@ class Problem(NamedTuple):
                 for j, x in enumerate(row):
                     corner[i][j].add(x, 1)
         for joint in joints:
-            side[joint] = [Total(x) for x in _parts(smooth.momenta[joint])] if has_base else []
+            side[joint] = [StackTotal(x) for x in _parts(smooth.momenta[joint])] if has_base else []
             for inner in inner_joints(self.layout, joint):
-                entries[inner, joint] = Total(smooth.mass[inner, joint])
-            entries[joint, joint] = Total(smooth.mass[joint, joint] + stiff.get(joint, ZERO))
+                entries[inner, joint] = StackTotal(smooth.mass[inner, joint])
+            entries[joint, joint] = StackTotal(smooth.mass[joint, joint] + stiff.get(joint, ZERO))
         for one, curve in zip(self.constraints.contacts, curves or (), strict=curves is not None):
             self._add_contact(one, curve, corner, side, entries)
-        rest = {joint: Total(right.joints[joint]) for joint in joints}
-        base = [Total(x) for x in _parts(right.base)]
+        rest = {joint: StackTotal(right.joints[joint]) for joint in joints}
+        base = [StackTotal(x) for x in _parts(right.base)]
         inverse, low, low_base = {}, {}, {}
         for joint in reversed(joints):
-            n, inner = self.n(joint), inner_joints(self.layout, joint)
+            n, inner = self.stack_size(joint), inner_joints(self.layout, joint)
             pivot = entries[joint, joint].value
             row = {one: entries[one, joint].value for one in inner}
             row_base = [one.value for one in side[joint]]
@@ -203,9 +207,9 @@ class Problem(NamedTuple):
             low[joint] = {one: x * inverse[joint] for one, x in row.items()}
             low_base[joint] = [x * inverse[joint] for x in row_base]
             known = rest[joint].value
-            rest[joint] = Total(known)
+            rest[joint] = StackTotal(known)
             for i, one in enumerate(inner):
-                m = n if self.n(one) == 1 else 1
+                m = n if self.stack_size(one) == 1 else 1
                 factor = low[joint][one]
                 rest[one].add(-(factor * known), m)
                 for other in inner[: i + 1]:
@@ -234,7 +238,9 @@ class Problem(NamedTuple):
     def _add_contact(self, contact: Any, curve: Curve, corner: Any, side: Any, entries: Any) -> None:
         """Add Jᵀ C J of a row of contacts."""
         n, at, chain = len(contact.point.real), contact.at, self.layout.moving_joints(contact.point.stack)
-        moved = [Spatial(one.velocity_at(at), one.angular) for one in (self.smooth.motions[joint] for joint in chain)]
+        moved = [
+            SpatialVector(one.velocity_at(at), one.angular) for one in (self.smooth.motions[joint] for joint in chain)
+        ]
         pushed = [curve.push(one) for one in moved]
         if self.layout.has_free_base:
             rows, extra = curve.linear.rows, curve.mixed or [NOTHING] * 3
@@ -256,18 +262,18 @@ class Problem(NamedTuple):
                 for j in range(i + 1):
                     corner[3 + i][3 + j].add(turned[i][j], n)
         for joint, push in zip(chain, pushed, strict=True):
-            m = n if self.n(joint) == 1 else 1
+            m = n if self.stack_size(joint) == 1 else 1
             for total, x in zip(side[joint], (*push.linear, *(at.cross(push.linear) + push.angular)), strict=False):
                 total.add(x, m)
         for i, joint in enumerate(chain):
             for j in range(i + 1):
-                m = n if self.n(joint) == 1 else 1
+                m = n if self.stack_size(joint) == 1 else 1
                 power = moved[j].linear.dot(pushed[i].linear)
                 if curve.mixed is not None:
                     power = power + moved[j].angular.dot(pushed[i].angular)
                 entries[chain[j], joint].add(power, m)
 
-    def start(self, warm: Acceleration) -> "Iterate":
+    def first_iterate(self, warm: Acceleration) -> "Iterate":
         """Return the first iterate, at given accelerations."""
         residuals = self.residuals(warm, wanted=True)
         return self._iterate(warm, self.momentum(warm), residuals)
@@ -279,15 +285,15 @@ class Problem(NamedTuple):
 
     def norm(self, force: Acceleration) -> Scalar:
         """Return the Euclidean norm of generalized forces, one number: forces (N) and torques (N m) count alike."""
-        total = Total()
+        total = StackTotal()
         if self.layout.has_free_base:
             for x in _parts(force.base):
                 total.add(x * x, 1)
         for joint, x in force.joints.items():
-            total.add(x * x, self.n(joint))
+            total.add(x * x, self.stack_size(joint))
         return square_root(total.value)
 
-    def descend(self, now: "Iterate") -> "Iterate":
+    def next_iterate(self, now: "Iterate") -> "Iterate":
         """Return the next iterate: Newton's direction, and a search for the step length of least cost."""
         is_elliptic = self.constraints.is_elliptic
         curves = [
@@ -296,9 +302,9 @@ class Problem(NamedTuple):
         ]
         stiff: dict[Joint, Scalar] = {}
         for row, residual in zip(self.constraints.rows, now.residuals.rows, strict=True):
-            stiff[row.joint] = stiff.get(row.joint, ZERO) + row_force(row, residual)[1]
+            stiff[row.joint] = stiff.get(row.joint, ZERO) + joint_row_force(row, residual)[1]
         left = self.force.minus(now.momentum)
-        way = self.solve(left.add_scaled(ONE, now.pull), curves, stiff)
+        way = self.solve_linear_system(left.add_scaled(ONE, now.pull), curves, stiff)
         moved, changed = self.momentum(way), self.residuals(way, wanted=False)
         length = self._search(way, left, moved, now.residuals, changed)
         return self._iterate(
@@ -308,11 +314,11 @@ class Problem(NamedTuple):
         )
 
     def _power(self, one: Acceleration, other: Acceleration) -> Scalar:
-        total = Total()
+        total = StackTotal()
         if self.layout.has_free_base:
             total.add(one.base.dot(other.base), 1)
         for joint, x in one.joints.items():
-            total.add(x * other.joints[joint], self.n(joint))
+            total.add(x * other.joints[joint], self.stack_size(joint))
         return total.value
 
     def _search(self, way: Any, left: Any, moved: Any, residuals: Residuals, changed: Residuals) -> Scalar:
@@ -326,20 +332,20 @@ class Problem(NamedTuple):
         flat = slope_at_0 * -float(ROUNDING * jnp.finfo(like.dtype).eps)
         turns = self._turning_points(residuals, changed)
         lines = [
-            contact_line(*each, constraints.is_elliptic)
+            contact_cost_derivatives(*each, constraints.is_elliptic)
             for each in zip(constraints.contacts, residuals.contacts, changed.contacts, strict=True)
         ]
 
         def try_length(state: tuple[Any, ...]) -> tuple[Any, ...]:
             count, _, length, low, high = state[0], state[1], *(Scalar(x) for x in state[2:])
-            first, second = Total(), Total()
+            first, second = StackTotal(), StackTotal()
             for line in lines:
                 n, (a, b) = len(line.contact.point.real), line.slopes(length)
                 first.add(a, n)
                 second.add(b, n)
             for row, residual, change in zip(constraints.rows, residuals.rows, changed.rows, strict=True):
-                force, curve = row_force(row, residual + length * change)
-                n = self.n(row.joint)
+                force, curve = joint_row_force(row, residual + length * change)
+                n = self.stack_size(row.joint)
                 first.add(-(force * change), n)
                 second.add(curve * change * change, n)
             slope = slope_at_0 + length * bend_at_0 + first.value
@@ -368,7 +374,7 @@ class Problem(NamedTuple):
                 size = largest(change, -change)
                 moves = Scalar(1e-20) < size
                 place = -residual / where(moves, change, ONE)
-                found.append((place, where(moves, size * row.most, ZERO), self.n(row.joint)))
+                found.append((place, where(moves, size * row.most, ZERO), self.stack_size(row.joint)))
         return found
 
     def _choose_turn(self, turns: list[tuple[Scalar, Scalar, int]], shorter: Array, longer: Array) -> Any:
@@ -378,7 +384,7 @@ class Problem(NamedTuple):
         inner = [(place, where((low < place) & (place < high), jump, ZERO), n) for place, jump, n in turns]
         for _, jump, n in inner:
             best = largest(best, Scalar(jump.value.max()) if n > 1 else jump)
-        chosen, count = Total(), Total()
+        chosen, count = StackTotal(), StackTotal()
         for place, jump, n in inner:
             is_best = (jump > ZERO) & ~(jump < best)
             chosen.add(where(is_best, place, ZERO), n)
@@ -398,7 +404,7 @@ class Iterate(NamedTuple):
     error: Scalar  # what is left over of the equation, as a share of all forces
 
 
-def solve_problem(problem: Problem, warm: Acceleration, iterations: int) -> Iterate:
+def solve_problem(problem: StepProblem, warm: Acceleration, iterations: int) -> Iterate:
     """Return the accelerations of a step, by Newton's method from those of the step before.
 
     Args:
@@ -406,9 +412,9 @@ def solve_problem(problem: Problem, warm: Acceleration, iterations: int) -> Iter
         warm: Accelerations to begin with.
         iterations: Iterations, at most: a rollout that has converged stays as it is.
     """
-    values, rebuild = flatten_scalars(problem.start(warm))
+    values, rebuild = flatten_scalars(problem.first_iterate(warm))
     dtype = next(x.dtype for x in values if hasattr(x, "dtype"))
-    shapes = jax.eval_shape(lambda: flatten_scalars(problem.descend(rebuild(values)))[0])
+    shapes = jax.eval_shape(lambda: flatten_scalars(problem.next_iterate(rebuild(values)))[0])
     values = [jnp.broadcast_to(jnp.asarray(x, dtype), like.shape) for x, like in zip(values, shapes, strict=True)]
     enough = float(CONVERGED * jnp.finfo(dtype).eps)
 
@@ -417,18 +423,18 @@ def solve_problem(problem: Problem, warm: Acceleration, iterations: int) -> Iter
 
     def body(state: tuple[Any, list[Any]]) -> tuple[Any, list[Any]]:
         count, values = state
-        after = flatten_scalars(problem.descend(rebuild(values)))[0]
+        after = flatten_scalars(problem.next_iterate(rebuild(values)))[0]
         return count + 1, [jnp.asarray(x, dtype) for x in after]
 
     return rebuild(jax.lax.while_loop(goes_on, body, (jnp.int32(0), values))[1])
 
 
-def _parts(one: Spatial) -> list[Scalar]:
+def _parts(one: SpatialVector) -> list[Scalar]:
     return [*one.linear, *one.angular]
 
 
-def _spatial(parts: list[Scalar]) -> Spatial:
-    return Spatial(Vector(*parts[:3]), Vector(*parts[3:]))
+def _spatial(parts: list[Scalar]) -> SpatialVector:
+    return SpatialVector(Vector(*parts[:3]), Vector(*parts[3:]))
 
 
 def _base_block(mass: Scalar, h: Vector, inertia: Any) -> list[list[Scalar]]:

@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.systems.mujoco_model.kernel.constraints import ELLIPTIC, Constraints, find_contacts, find_rows
-from sweep.systems.mujoco_model.kernel.layout import Layout, drives
+from sweep.systems.mujoco_model.kernel.constraints import ELLIPTIC, Constraints, find_contacts, find_joint_rows
+from sweep.systems.mujoco_model.kernel.layout import RobotLayout, joint_actuators
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
 from sweep.systems.mujoco_model.kernel.scalars import (
     NOTHING,
@@ -29,19 +29,19 @@ from sweep.systems.mujoco_model.kernel.scalars import (
 from sweep.systems.mujoco_model.kernel.smooth import (
     STILL,
     RobotState,
-    Smooth,
-    Spatial,
+    SmoothTerms,
+    SpatialVector,
     compute_smooth,
     wrench_at,
 )
-from sweep.systems.mujoco_model.kernel.solver import Acceleration, Iterate, Joint, Problem, solve_problem
+from sweep.systems.mujoco_model.kernel.solver import Acceleration, Iterate, Joint, StepProblem, solve_problem
 
 IMPLICIT = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
 UNBALANCED = 0.01  # share of the forces that may be left over in a solved step, as for other engines
 UNCLAMPED, EXPLICIT = (int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")) for name in ("CLAMPCTRL", "EULERDAMP"))
 
 
-class Drive(NamedTuple):
+class ActuatorState(NamedTuple):
     """Force, length and velocity of the actuators of like joints in a step."""
 
     actuators: np.ndarray  # ids (n,)
@@ -53,14 +53,14 @@ class Drive(NamedTuple):
 class StepResult(NamedTuple):
     """Kinematics, forces and accelerations at the start of a physics step."""
 
-    smooth: Smooth
-    problem: Problem
+    smooth: SmoothTerms
+    problem: StepProblem
     solution: Iterate
-    drives: tuple[Drive, ...]
+    drives: tuple[ActuatorState, ...]
     is_unsolved: Any  # () bool
 
 
-class Push(NamedTuple):
+class BodyPush(NamedTuple):
     """A force in world axes on the centre of mass of one body."""
 
     stack: int
@@ -68,7 +68,7 @@ class Push(NamedTuple):
     force: Vector  # N
 
 
-def read_state(layout: Layout, model: mujoco.MjModel, qpos: Array, qvel: Array, warm: Array) -> RobotState:
+def read_state(layout: RobotLayout, model: mujoco.MjModel, qpos: Array, qvel: Array, warm: Array) -> RobotState:
     """Make a state of MuJoCo's `qpos` (nq,), `qvel` (nv,) and `qacc_warmstart` (nv,)."""
     angles, rates, before = {}, {}, {}
     for joint in layout.joints:
@@ -87,11 +87,11 @@ def read_state(layout: Layout, model: mujoco.MjModel, qpos: Array, qvel: Array, 
     def vector(values: Array, first: int) -> Vector:
         return Vector(*(Scalar(values[first + k]) for k in range(3)))
 
-    moving = [Spatial(vector(one, v), rotate(axes, vector(one, v + 3))) for one in (qvel, warm)]
+    moving = [SpatialVector(vector(one, v), rotate(axes, vector(one, v + 3))) for one in (qvel, warm)]
     return RobotState(vector(qpos, q), quat, moving[0], angles, rates, moving[1], before)  # pyright: ignore
 
 
-def write_state(layout: Layout, model: mujoco.MjModel, state: RobotState) -> tuple[Array, Array, Array]:
+def write_state(layout: RobotLayout, model: mujoco.MjModel, state: RobotState) -> tuple[Array, Array, Array]:
     """Make `qpos` (nq,), `qvel` (nv,) and `qacc_warmstart` (nv,) of a state, the inverse of `read_state`."""
     dtype = next(one.value.dtype for one in state.angles.values())
     qpos, qvel, warm = ([ZERO] * size for size in (model.nq, model.nv, model.nv))
@@ -115,8 +115,13 @@ def write_state(layout: Layout, model: mujoco.MjModel, state: RobotState) -> tup
 
 
 def compute_forces(
-    layout: Layout, numbers: ModelNumbers, state: RobotState, smooth: Smooth, ctrl: Array, pushes: tuple[Push, ...]
-) -> tuple[Acceleration, dict[Joint, Scalar], tuple[Drive, ...]]:
+    layout: RobotLayout,
+    numbers: ModelNumbers,
+    state: RobotState,
+    smooth: SmoothTerms,
+    ctrl: Array,
+    pushes: tuple[BodyPush, ...],
+) -> tuple[Acceleration, dict[Joint, Scalar], tuple[ActuatorState, ...]]:
     """Compute all forces of a step but those of constraints.
 
     Args:
@@ -142,7 +147,7 @@ def compute_forces(
         if numbers.is_used("jnt_stiffness", ids):
             passive = passive - numbers.get("jnt_stiffness", ids) * (angle - numbers.get("qpos_spring", places))
         driven, soft = ZERO, drag if is_implicit or not model.opt.disableflags & EXPLICIT else ZERO
-        for acting in zip(*(drives(model, int(j)) for j in ids), strict=True):
+        for acting in zip(*(joint_actuators(model, int(j)) for j in ids), strict=True):
             those = np.array(acting)
             drive, gear, velocity_gain = _drive(numbers, those, angle, rate, ctrl)
             found.append(drive)
@@ -174,7 +179,7 @@ def compute_forces(
 
 def _drive(
     numbers: ModelNumbers, ids: np.ndarray, angle: Scalar, rate: Scalar, ctrl: Array
-) -> tuple[Drive, Scalar, Scalar]:
+) -> tuple[ActuatorState, Scalar, Scalar]:
     """Force of an actuator of each joint, its gear, and how its force grows with its velocity."""
     model = numbers.model
     control = Scalar(ctrl[int(ids[0])] if len(ids) == 1 else ctrl[ids])
@@ -198,7 +203,7 @@ def _drive(
     if model.actuator_forcelimited[ids].any():
         force, is_free = _clamp(numbers, force, ids, "actuator_forcerange", model.actuator_forcelimited)
         slope = where(is_free, slope, ZERO) if not slope.is_exactly(0) else slope
-    return Drive(ids, force, length, velocity), gear, slope
+    return ActuatorState(ids, force, length, velocity), gear, slope
 
 
 def _clamp(numbers: ModelNumbers, value: Scalar, ids: np.ndarray, name: str, limited: Any) -> tuple[Scalar, Any]:
@@ -212,11 +217,11 @@ def _clamp(numbers: ModelNumbers, value: Scalar, ids: np.ndarray, name: str, lim
 
 
 def step(
-    layout: Layout,
+    layout: RobotLayout,
     numbers: ModelNumbers,
     state: RobotState,
     ctrl: Float[Array, " nu"],
-    pushes: tuple[Push, ...],
+    pushes: tuple[BodyPush, ...],
     iterations: int,
 ) -> tuple[RobotState, StepResult]:
     """Advance a state by one physics step.
@@ -238,7 +243,7 @@ def step(
     total = problem.force.add_scaled(ONE, solution.pull)
     moved = acceleration
     if not all(one.is_exactly(0) for one in damping.values()):
-        moved = problem.solve(total, None, {joint: one * h for joint, one in damping.items()})
+        moved = problem.solve_linear_system(total, None, {joint: one * h for joint, one in damping.items()})
     rates = {joint: rate + moved.joints[joint] * h for joint, rate in state.rates.items()}
     angles = {joint: angle + rates[joint] * h for joint, angle in state.angles.items()}
     if not layout.has_free_base:
@@ -262,11 +267,11 @@ def _turn(quat: Any, spin: Vector, h: float) -> Any:
 
 
 def solve_forward(
-    layout: Layout,
+    layout: RobotLayout,
     numbers: ModelNumbers,
     state: RobotState,
     ctrl: Array,
-    pushes: tuple[Push, ...],
+    pushes: tuple[BodyPush, ...],
     iterations: int,
 ) -> tuple[StepResult, dict[Joint, Scalar]]:
     """Compute the accelerations of a state, see `step`, and the damping of each joint."""
@@ -274,9 +279,9 @@ def solve_forward(
     force, damping, drives_ = compute_forces(layout, numbers, state, smooth, ctrl, pushes)
     contacts = find_contacts(layout, numbers, state, smooth)
     constraints = Constraints(
-        tuple(contacts), tuple(find_rows(layout, numbers, state)), numbers.model.opt.cone == ELLIPTIC
+        tuple(contacts), tuple(find_joint_rows(layout, numbers, state)), numbers.model.opt.cone == ELLIPTIC
     )
-    problem = Problem(layout, smooth, constraints, force)
+    problem = StepProblem(layout, smooth, constraints, force)
     warm = Acceleration(state.warm_base, state.warm)
     solution = solve_problem(problem, warm, iterations)
     is_unsolved = Scalar(UNBALANCED) < solution.error

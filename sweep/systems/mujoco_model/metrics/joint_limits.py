@@ -1,15 +1,15 @@
 """Time that joints spend at the ends of their ranges."""
 
-from sweep.systems.mujoco_model.tick import Array, ModelTick, share_at_limit, share_of_steps
+from sweep.systems.mujoco_model.tick import Array, ModelTick, make_step_share_metric, sum_share_at_limit
 
 
 def add_shares_of_joints(ctx: ModelTick) -> Array:
     """Sum over steps the share of joints that are at an end of their range, (n,)."""
     positions = ctx.steps["qpos"][..., ctx.parts.limited_positions]
-    return share_at_limit(positions, ctx.limits["jnt_range"][:, ctx.parts.limited_joints])
+    return sum_share_at_limit(positions, ctx.limits["jnt_range"][:, ctx.parts.limited_joints])
 
 
-METRIC = share_of_steps(
+METRIC = make_step_share_metric(
     add_shares_of_joints,
     "joint_limit_share",
     "share of the steps, over all joints with a range, at an end of it",

@@ -3,7 +3,7 @@
 import numpy as np
 
 from sweep.core.metric import array_namespace
-from sweep.systems.mujoco_model.tick import Array, share_of_steps
+from sweep.systems.mujoco_model.tick import Array, make_step_share_metric
 
 BALANCE_FIELDS = ("qacc", "qfrc_smooth", "qfrc_constraint")  # recorded of each step for `is_unbalanced`, beside M
 MAX_IMBALANCE_SHARE = 0.01  # share of the forces, up to which those of a step are in balance
@@ -30,7 +30,7 @@ def is_unbalanced(mass: Array, qacc: Array, smooth: Array, constraint: Array) ->
     return left > MAX_IMBALANCE_SHARE * (smooth + constraint)
 
 
-METRIC = share_of_steps(
+METRIC = make_step_share_metric(
     lambda ctx: ctx.steps["unsolved"].sum(axis=1),
     "unsolved_share",
     "share of the steps that the contact solver left unsolved",
