@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from sweep.analysis import failing
-from sweep.analysis.certify import certify as tested
-from sweep.analysis.certify import learn_score, required_rows
+from sweep.analysis.certify import certify_largest_region as tested
+from sweep.analysis.certify import learn_region_score, required_failure_free_rows
 from sweep.analysis.intervals import CONFIDENCE_LEVEL
 from sweep.cli import certification
 from sweep.config.experiment import build_experiment
@@ -79,14 +79,14 @@ def phases(failures: str, root: Path) -> Iterator[list[str]]:
         parts = [folder, folder / certification.FRESH_DRAWS_STUDY, folder / certification.CHECK_STUDY]
         rows = [store.read_rows(part) for part in parts if part.exists()]  # nothing is checked where nothing is found
         learning, fresh = rows[:2]
-        names = certification.drawn_parameters(build_experiment(store.read_study(folder)["config"]), learning)
+        names = certification.drawn_parameter_columns(build_experiment(store.read_study(folder)["config"]), learning)
         known, new = (
             certification.parameters_and_failures(learning, names),
             certification.parameters_and_failures(fresh, names),
         )
-        most, least = float(failures), required_rows(float(failures), CONFIDENCE_LEVEL) / len(fresh)
+        most, least = float(failures), required_failure_free_rows(float(failures), CONFIDENCE_LEVEL) / len(fresh)
         times = [time.perf_counter()]
-        score = learn_score(promise.shapes[0], *known, least)
+        score = learn_region_score(promise.shapes[0], *known, least)
         times.append(time.perf_counter())
         tested(score, known, new, most, CONFIDENCE_LEVEL)
         times.append(time.perf_counter())

@@ -141,7 +141,7 @@ def tolerance_line(seed: int, cut: float, num: int = 64) -> tuple[pd.Series, flo
     axes = {"error": {"values": LEVELS}} | {name: {"path": f"controller.{name}", **error} for name in ("x1", "x2")}
     exp = study(axes, seed, design={"num": num})
     rows = points(exp)
-    line = sensitivity.tolerance(judged(rows, linear(rows) < cut), exp).iloc[0]
+    line = sensitivity.tolerated_errors(judged(rows, linear(rows) < cut), exp).iloc[0]
     return line, (cut - np.sqrt(2)) * 2 * np.sqrt(8) / (2 - np.sqrt(0.8))
 
 
@@ -173,7 +173,7 @@ def flip_hits(seed: int, replicates: int, values: list[float]) -> np.ndarray:
     one, other = (rows[f"controller.{name}"] + noise < 0.8 for name in ("x1", "x2"))
     named = judged(rows.assign(point_id=np.arange(len(rows)).astype(str)), one)
     pairs = compare.pair_rows(named, judged(named, other))
-    found = compare.count_flips(pairs, compare.independent_unit_of_pairs(pairs, exp))
+    found = compare.count_flips(pairs, compare.unit_numbers_of_pairs(pairs, exp))
     return covers([found.low], [found.high], 2 * rate_with_noise(0.8) * (1 - rate_with_noise(0.8)))
 
 
@@ -251,13 +251,13 @@ def _cases() -> Iterable[Case]:
         yield Case(kind, pooled_rate, "rate", f"64 draws x 10 replicates, P = {cut:g}", rate_hits, settings)
     for kind in design_kinds.list_kinds(lambda kind: kind.is_low_discrepancy):
         for num, scrambles in ((64, 1), (16, 4), (64, 4)):
-            if scrambles == 1 or "scrambles" in design_kinds.own_settings(design_kinds.DESIGN_BY_KIND[kind]):
+            if scrambles == 1 or "scrambles" in design_kinds.kind_specific_settings(design_kinds.DESIGN_BY_KIND[kind]):
                 settings = {"kind": kind, "cut": 0.985, "replicates": 1, "num": num, "scrambles": scrambles}
                 yield Case(kind, pooled_rate, "rate", f"{scrambles} x {num} draws, P = 0.985", rate_hits, settings)
     for cut in (1.42, 1.4225):
         yield Case(
             "monte_carlo",
-            sensitivity.tolerance,
+            sensitivity.tolerated_errors,
             "tolerance",
             f"6 values x 64 draws, cut {cut:g}",
             tolerance_hits,

@@ -45,7 +45,7 @@ def make_engine(name: str, model: dict[str, Any], width: int) -> Any:
     system, settings, *_ = build_nominal(
         {"model": about, "engine": settings, "outcome": {"fell": "tilt_max_deg > 60"}}, {}
     )
-    return system.make_engine(settings, *system.make_sides({}), limits=None)
+    return system.make_engine(settings, *system.make_world_and_belief({}), limits=None)
 
 
 def vary_robot(n: int) -> SideValues:

@@ -184,7 +184,7 @@ def make_task(name: str, width: int, seconds: str, *more: str) -> tuple[MujocoMo
     exp = compose(["scenario=own", f"engine.name={name}", f"model.duration={seconds}", *more])
     own = exp.system
     assert isinstance(own, MujocoModel)
-    task = (*own.make_sides({}), np.zeros(width, np.int64))
+    task = (*own.make_world_and_belief({}), np.zeros(width, np.int64))
     return own, own.make_engine(replace(exp.settings, width=width), *task[:2], None), task
 
 

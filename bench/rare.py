@@ -31,7 +31,7 @@ from sweep.core.expressions import evaluate_expression, find_column
 from sweep.core.files import write_atomically
 from sweep.core.provenance import version_record
 from sweep.runs import runner
-from sweep.runs.batches import make_engine, make_nominal_batch, with_delay_buffer
+from sweep.runs.batches import allocate_delay_buffers, make_engine, make_nominal_batch
 from sweep.study.adaptive_sampling import RoundDraws
 from sweep.study.design_kinds.base import FailureEstimate
 from sweep.study.design_kinds.subset import SubsetEstimate
@@ -83,7 +83,7 @@ class Robots:
         self.lead = LEADS.get(scenario, LEAD)
         exp = self.scaled_study(1.0)
         first = self.points(exp, plain(exp, 1, 0))
-        self.exp = with_delay_buffer(exp, first)
+        self.exp = allocate_delay_buffers(exp, first)
         start = make_nominal_batch(self.exp, first.assign(width=width), width)
         self.width, self.engine = width, make_engine(self.exp, start)
         self.device = self.exp.system.device(start.settings)

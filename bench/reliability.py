@@ -70,7 +70,7 @@ def quiet(*args: str) -> tuple[int, str]:
 def files(folder: Path) -> list[Path]:
     """Return all files that rows are read from."""
     named = [folder / name for name in (store.STUDY_FILE, store.POINTS_FILE, manifest.MANIFEST_FILE)]
-    return named + [folder / entry.file for entry in store.current_parts(folder)]
+    return named + [folder / entry.file for entry in store.list_current_parts(folder)]
 
 
 def damage(folder: Path, chance: random.Random, number: int, change: Callable[[bytes], bytes]) -> Iterator[str]:
@@ -160,7 +160,7 @@ def stale(folder: Path, chance: random.Random) -> Iterator[str]:
     for number in range(6):
         out = folder.with_name(f"stale{number}")
         shutil.copytree(folder, out)
-        for entry in store.current_parts(out)[number + 1 :]:
+        for entry in store.list_current_parts(out)[number + 1 :]:
             (out / entry.file).unlink()
         known = real(out.resolve(), "old")
         quiet("run", *STUDY, "--limit", str(8 * (number + 1)), f"out={out}", "outcome.slip_max_m=0.1")

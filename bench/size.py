@@ -57,9 +57,9 @@ def make_folder(folder: Path, number: int) -> None:
     with store.lock_folder(folder):
         runner.write_description(job, tally)
         store.write_points(folder, job.table)
-        batches = job.missing()
+        batches = job.missing_batches()
         for first in range(0, len(batches), PART):
-            rows = job.rows(batches[first : first + PART]).reset_index(drop=True).assign(run_id="0" * 16)
+            rows = job.points_of_batches(batches[first : first + PART]).reset_index(drop=True).assign(run_id="0" * 16)
             # most rows from those that succeed, as in studies of robustness
             share = np.where(donor["outcome"] == "success", 5.0, 1.0)
             table = figures.iloc[chance.choice(len(figures), len(rows), p=share / share.sum())].reset_index(drop=True)

@@ -271,8 +271,8 @@ def design_settings() -> str:
     said["num"] = f"{said['num']}; {', '.join(counts)}"
     for cls in design_kinds.DESIGN_BY_KIND.values():
         own = reference.member_comments(cls)
-        said |= {name: own[name] for name in design_kinds.own_settings(cls)}
-    owners = design_kinds.owners_of_settings().items()
+        said |= {name: own[name] for name in design_kinds.kind_specific_settings(cls)}
+    owners = design_kinds.kinds_by_setting().items()
     said |= {name: f"of {' and '.join(kinds)}: {said[name]}" for name, kinds in owners}
     members = [one for one in dataclasses.fields(design_kinds.make_schema()) if one.name != "correlation"]
     return table(("key", "default", "meaning"), ((code(f.name), code(f.default), said[f.name]) for f in members))

@@ -10,7 +10,7 @@ import numpy as np
 from faultless import faultless
 
 import sweep.engines
-from sweep.contract.system import split_side
+from sweep.contract.system import split_side_prefix
 
 
 class FakeEngine:
@@ -32,7 +32,7 @@ class FakeEngine:
     def find_unread_columns(self, sides, ends):
         """Return all columns but the two that `run` reads, and what obstacles and sensors may have."""
         read = ("contact.friction", "manoeuvre.half_step_ratio", "obstacle.", "noise.")
-        return {c for c in ends if not split_side(c)[1].startswith(read)}
+        return {c for c in ends if not split_side_prefix(c)[1].startswith(read)}
 
     def run(self, world, belief, streams):
         friction, ratio = np.broadcast_arrays(world.contact.friction, belief.manoeuvre.half_step_ratio)

@@ -76,7 +76,7 @@ def model_printer(name: str) -> tuple[launch.TracedProgram, cuda.GpuPrinter]:
             "outcome": {"fell": "tilt_max_deg > 60"},
         }
         system, settings, *_ = build_nominal(values, {})
-        engine = system.make_engine(settings, *system.make_sides({}), limits=None)
+        engine = system.make_engine(settings, *system.make_world_and_belief({}), limits=None)
         assert isinstance(engine, KernelModelEngine)
         world = SideValues(tuple((path, np.ones(2)) for path in varied))
         with engine._within():

@@ -22,7 +22,7 @@ def prepare_batch(*words, cross_check=True):
     """The engine of `study=one.yaml`, and the sides and streams of a batch of all its rollouts."""
     exp = compose(["study=one.yaml", *words])
     rows = select_points(exp)
-    exp = batches.with_delay_buffer(exp, rows)
+    exp = batches.allocate_delay_buffers(exp, rows)
     rows = batches.assign_batches(exp, pd.DataFrame(), rows).assign(width=len(rows))
     task = batches.make_batch(exp, rows)
     engine = exp.system.make_engine(replace(task.settings, cross_check=cross_check), task.world, task.belief, None)

@@ -31,18 +31,20 @@ def drawn(number, rng):
 
 
 def certified(shape, learning, fresh, failures, confidence):
-    least = certify.required_rows(failures, confidence) / len(fresh[0])
-    return certify.certify(certify.learn_score(shape, *learning, least), learning, fresh, failures, confidence)
+    least = certify.required_failure_free_rows(failures, confidence) / len(fresh[0])
+    return certify.certify_largest_region(
+        certify.learn_region_score(shape, *learning, least), learning, fresh, failures, confidence
+    )
 
 
 def test_the_bound_is_the_exact_one():
-    assert certify.required_rows(1e-2, 0.95) == 299
-    assert certify.required_rows(1e-5, 0.95) == 299_572
+    assert certify.required_failure_free_rows(1e-2, 0.95) == 299
+    assert certify.required_failure_free_rows(1e-5, 0.95) == 299_572
     for failed, rows in ((0, 299), (3, 800)):
         assert binom.cdf(failed, rows, certify.failure_upper_bound(failed, rows, 0.95)) == pytest.approx(0.05)
-    assert certify.allowed_failures(298, 1e-2, 0.95) == -1
-    assert certify.allowed_failures(473, 1e-2, 0.95) == 1  # 1 of 473 is bounded by 0.9997 %
-    assert certify.allowed_failures(472, 1e-2, 0.95) == 0
+    assert certify.most_failures_that_certify(298, 1e-2, 0.95) == -1
+    assert certify.most_failures_that_certify(473, 1e-2, 0.95) == 1  # 1 of 473 is bounded by 0.9997 %
+    assert certify.most_failures_that_certify(472, 1e-2, 0.95) == 0
 
 
 def test_a_region_chosen_in_a_fixed_order_is_rarely_wrong_and_the_one_that_looks_best_often_is():

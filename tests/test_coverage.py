@@ -32,7 +32,7 @@ from scipy.stats import beta, binom, norm
 from sweep.analysis import compare, failing, sampling_units, screening, sensitivity, sequential
 from sweep.analysis.sample import is_random_sample, pooled_rate
 from sweep.core.errors import InputError
-from sweep.report.headline import sample_size
+from sweep.report.headline import describe_sample_size
 from sweep.report.statistics import sensitivity_methods
 from sweep.runs import refine
 from sweep.study import design_kinds
@@ -115,7 +115,7 @@ def test_a_tolerance_is_no_wider_than_needed():
         limit = np.random.default_rng(seed).logistic(0.045, 0.007, 200)
         rows = points(exp)
         rows = judged(rows, rows["controller.x3"] < limit[rows["replicate"]])
-        line = sensitivity.tolerance(rows, exp).iloc[0]
+        line = sensitivity.tolerated_errors(rows, exp).iloc[0]
         assert line["low"] <= line["error"] <= line["high"]
         widths.append(line["high"] - line["low"])
     assert np.median(widths) <= 0.0075
@@ -145,7 +145,7 @@ def test_morris_has_no_p_and_its_trajectories_are_units():
     units = sampling_units.unit_numbers(rows, exp)
     assert units is not None
     assert np.bincount(units).tolist() == [9] * 50
-    assert sample_size(rows, exp) == "50 independent trajectories"
+    assert describe_sample_size(rows, exp) == "50 independent trajectories"
 
 
 def test_an_index_of_draws_that_agree_names_what_is_lacking():
@@ -170,7 +170,7 @@ def test_pairs_of_a_draw_are_no_independent_pairs(replicates, levels):
         one, other = (rows[f"controller.{name}"] + noise < 0.8 for name in ("x1", "x2"))
         named = judged(rows.assign(point_id=np.arange(len(rows)).astype(str)), one)
         pairs = compare.pair_rows(named, judged(named, other))
-        unit = compare.independent_unit_of_pairs(pairs, exp)
+        unit = compare.unit_numbers_of_pairs(pairs, exp)
         found = compare.count_flips(pairs, unit)
         tests.append(found.p_value)
         hits.append(covers(found.low, found.high, 2 * rate_with_noise(0.8) * (1 - rate_with_noise(0.8))))
@@ -186,7 +186,7 @@ def test_a_grid_is_no_sample():
     rows = judged(rows, linear(rows) < np.sqrt(2))
     assert np.isnan(pooled_rate(rows, exp).low)
     pairs = compare.pair_rows(rows, judged(rows, linear(rows) + 0.05 / np.sqrt(8) < np.sqrt(2)))
-    assert compare.independent_unit_of_pairs(pairs, exp) is None
+    assert compare.unit_numbers_of_pairs(pairs, exp) is None
     found = compare.count_flips(pairs)
     assert found.lost > 0
     assert np.isnan([found.p_value, found.low, found.high]).all()

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sweep.core.distinct_values import are_all_different, count_distinct, has_several_values, number_distinct
+from sweep.core.distinct_values import are_all_different, count_distinct, has_several_values, rank_distinct_values
 
 COLUMNS = {
     "one": [2.0, 2.0], "two": [2.0, 3.0], "missing": [np.nan, 2.0, np.nan], "all_missing": [np.nan, np.nan],
@@ -25,7 +25,7 @@ def test_columns_have_as_many_values_as_pandas_counts(name):
 def test_whole_numbers_are_numbered_as_numpy_does(numbers):
     numbers = np.asarray(numbers, dtype=np.int64)
     distinct, places = np.unique(numbers, return_inverse=True)
-    assert number_distinct(numbers).tolist() == places.tolist()
+    assert rank_distinct_values(numbers).tolist() == places.tolist()
     assert are_all_different(numbers) == (len(distinct) == len(numbers))
 
 

@@ -36,7 +36,7 @@ def test_twenty_kills_at_random_moments_leave_the_same_rows(tmp_path, whole):
         if (folder / store.STUDY_FILE).exists() and store.finished_batches(folder):
             assert set(content(folder)["point_id"]) <= set(whole["point_id"])
             # so that there is work until the last kill
-            (folder / moments.choice(store.current_parts(folder)).file).unlink(missing_ok=True)
+            (folder / moments.choice(store.list_current_parts(folder)).file).unlink(missing_ok=True)
     assert main(["run", *STUDY, f"out={folder}"]) == 0
     pd.testing.assert_frame_equal(content(folder), whole)
     assert not list(folder.rglob("*.tmp"))
@@ -108,7 +108,7 @@ def test_a_folder_of_other_files_is_refused_and_left_as_it_is(tmp_path, monkeypa
 
 def test_damaged_parts_are_named_and_simulated_again(tmp_path, capsys, whole):
     assert main(["run", *STUDY, f"out={tmp_path}"]) == 0
-    parts = [tmp_path / entry.file for entry in store.current_parts(tmp_path)]
+    parts = [tmp_path / entry.file for entry in store.list_current_parts(tmp_path)]
     data, third = parts[3].read_bytes(), len(parts[3].read_bytes()) // 3
     parts[0].write_bytes(parts[0].read_bytes()[:-100])
     parts[2].write_bytes(b"")

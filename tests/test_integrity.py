@@ -35,7 +35,7 @@ def again(folder, *overrides: str) -> int:
 def test_what_a_worker_of_a_dead_command_writes_counts_for_nothing(tmp_path, whole):
     """It has read its plan and thresholds, its command dies, another one judges by others, then it finishes."""
     assert main(["run", *STUDY, f"out={tmp_path}"]) == 0
-    for entry in store.current_parts(tmp_path)[5:]:
+    for entry in store.list_current_parts(tmp_path)[5:]:
         (tmp_path / entry.file).unlink()
     known = runner._read_job(tmp_path.resolve(), "a plan of the dead command")
     assert again(tmp_path, "--limit", "48", "outcome.slip_max_m=0.01") == 0
@@ -53,14 +53,14 @@ def test_what_a_worker_of_a_dead_command_writes_counts_for_nothing(tmp_path, who
 def test_a_part_that_was_judged_by_other_thresholds_is_not_taken(folder):
     exp = compose([*STUDY, f"out={folder}"])
     job = runner.prepare_job(exp, folder, runner.select_points(exp))
-    entry = replace(store.current_parts(folder)[0], labels="others")
+    entry = replace(store.list_current_parts(folder)[0], labels="others")
     with pytest.raises(Fault, match="other thresholds"):
-        runner.accept_part(job, runner.FinishedBatch(0, "host", "cpu", 1, entry), entry)
+        runner.list_finished_part(job, runner.FinishedBatch(0, "host", "cpu", 1, entry), entry)
 
 
 def test_no_flipped_bit_is_silent_and_none_ends_in_a_traceback(folder, whole):
     files = [folder / name for name in (store.STUDY_FILE, store.POINTS_FILE, manifest.MANIFEST_FILE)]
-    files += [folder / entry.file for entry in store.current_parts(folder)]
+    files += [folder / entry.file for entry in store.list_current_parts(folder)]
     chance = random.Random(1)
     for _ in range(FLIPS):
         path = chance.choice(files)
@@ -112,18 +112,18 @@ def test_what_the_rest_of_a_folder_tells_is_rebuilt(folder, whole, capsys, name,
 
 
 def test_strangers_are_named_and_do_not_count(folder, tmp_path, whole, capsys):
-    first = folder / store.current_parts(folder)[0].file
+    first = folder / store.list_current_parts(folder)[0].file
     other = tmp_path / "other"
     assert main(["run", *STUDY, f"out={other}", "engine.time_step=1e-3"]) == 0
     shutil.copy(first, first.with_name("part-000000 (copy).parquet"))
     shutil.copy(first, first.with_name("part-000099.parquet"))
-    foreign = other / store.current_parts(other)[3].file
+    foreign = other / store.list_current_parts(other)[3].file
     shutil.copy(foreign, first.with_name(foreign.name))
     (folder / store.PARTS_FOLDER / "notes").mkdir()
     for command in ("table", "stats", "status", "verify"):
         assert main([command, str(folder)]) == 0
     pd.testing.assert_frame_equal(content(folder), whole)
-    (folder / store.current_parts(folder)[3].file).unlink()
+    (folder / store.list_current_parts(folder)[3].file).unlink()
     capsys.readouterr()
     assert main(["table", str(folder)]) == 2
     one_line(capsys.readouterr().err, "part-000003")
@@ -204,8 +204,8 @@ def test_many_small_parts_become_few_when_a_run_ends(tmp_path, whole, monkeypatc
     rows = content(tmp_path)
     assert main(["run", *many]) == 0
     pd.testing.assert_frame_equal(content(tmp_path), rows)
-    assert len(list((tmp_path / store.PARTS_FOLDER).iterdir())) == len(store.current_parts(tmp_path)) == 1
-    (tmp_path / store.current_parts(tmp_path)[0].file).unlink()
+    assert len(list((tmp_path / store.PARTS_FOLDER).iterdir())) == len(store.list_current_parts(tmp_path)) == 1
+    (tmp_path / store.list_current_parts(tmp_path)[0].file).unlink()
     assert main(["run", *many]) == 0
     pd.testing.assert_frame_equal(content(tmp_path), rows)
 
@@ -221,7 +221,7 @@ def test_parts_that_are_put_together_while_they_are_read_are_no_damage(folder, w
 
     monkeypatch.setattr(store, "read_table", late)
     pd.testing.assert_frame_equal(content(folder), whole)
-    assert len(store.current_parts(folder)) == 1
+    assert len(store.list_current_parts(folder)) == 1
 
 
 def test_parts_are_put_together_without_changing_the_order_of_rows(tmp_path, monkeypatch):
@@ -239,5 +239,5 @@ def test_parts_are_put_together_without_changing_the_order_of_rows(tmp_path, mon
             assert main(["run", *both, *part, f"out={tmp_path / 'apart'}"]) == 0
         assert main(["run", *both, *part, f"out={tmp_path / 'together'}"]) == 0
         pd.testing.assert_frame_equal(content(tmp_path / "together"), content(tmp_path / "apart"))
-    apart, together = (len(store.current_parts(tmp_path / name)) for name in ("apart", "together"))
+    apart, together = (len(store.list_current_parts(tmp_path / name)) for name in ("apart", "together"))
     assert together * 5 < apart

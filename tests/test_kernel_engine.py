@@ -183,7 +183,7 @@ def test_programs_are_stored_by_structure_and_constants_but_not_by_varied_number
             "outcome": {"fell": "energy_j < -1"},
         }
         system, settings, *_ = build_nominal(values, {})
-        engine = system.make_engine(settings, *system.make_sides({}), limits=None)
+        engine = system.make_engine(settings, *system.make_world_and_belief({}), limits=None)
         world = SideValues(tuple((path, np.full(2, value)) for path in paths))
         engine.run(world, SideValues(), np.arange(2))
         return len(compiled)

@@ -103,7 +103,7 @@ def test_both_engines_simulate_the_same_physics(here):
     lift = "study.axes.lift={path: model.body.trunk.gravcomp, side: world, values: [0, 0.3]}"  # none nominally
     near = "study.axes.near={path: model.geom.foot.margin, side: world, values: [0, 0.01]}"
     exp = compose(["study=study.yaml", lift, near, "engine.precision=float64", "noise.white=0.01", "noise.delay=1"])
-    exp = batches.with_delay_buffer(exp, table := select_points(exp))
+    exp = batches.allocate_delay_buffers(exp, table := select_points(exp))
     native, again = (figures(exp, table, name=name) for name in ("native", "mjx"))
     assert native["slip_max_m"].max() > 0.005
     assert native["tilt_max_deg"].max() > 90
@@ -122,7 +122,7 @@ def test_both_engines_simulate_the_same_physics(here):
 def test_warp_simulates_the_same_physics(here):
     """In single precision, on Warp's CPU where there is no GPU; each rollout has fields of its own."""
     exp = compose(["study=study.yaml", "noise.white=0.01", "noise.delay=1"])
-    exp = batches.with_delay_buffer(exp, table := select_points(exp))
+    exp = batches.allocate_delay_buffers(exp, table := select_points(exp))
     native, again = (figures(exp, table, name=name) for name in ("native", "warp"))
     for name in ("base_height_min_m", "tilt_max_deg", "travelled_m", "slip_max_m", "energy_j", "load_max_n"):
         assert len(np.unique(native[name])) > 6
@@ -350,7 +350,7 @@ def test_where_mjx_parts_from_c_is_told(here, capsys):
 def _engine(integrator, *more):
     system = compose(["study=study.yaml", f"model.option.integrator={integrator}", *more]).system
     assert isinstance(system, MujocoModel)
-    return system.make_engine(EngineSettings(name="mjx"), *system.make_sides({}), None)
+    return system.make_engine(EngineSettings(name="mjx"), *system.make_world_and_belief({}), None)
 
 
 RAIL = """<mujoco><option timestep="0.005" gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0"/>
@@ -397,7 +397,7 @@ def test_mjx_traces_once(here, caplog):
     """What is traced and compiled of a batch is not, of the next one."""
     rail("push", PUSH)
     exp = compose(["study=rail.yaml", "engine=mjx"])
-    task = (*exp.system.make_sides({}), np.zeros(4, np.int64))
+    task = (*exp.system.make_world_and_belief({}), np.zeros(4, np.int64))
     made = exp.system.make_engine(exp.settings, *task[:2], None)
     with jax.log_compiles():
         first = made.run(*task)
@@ -421,7 +421,7 @@ ELSEWHERE = """import jax, numpy as np
 jax.config.update("jax_default_device", jax.devices()[1])
 from sweep.config.experiment import compose
 exp = compose(["study=rail.yaml"])
-task = *exp.system.make_sides({}), np.zeros(4, np.int64)
+task = *exp.system.make_world_and_belief({}), np.zeros(4, np.int64)
 exp.system.make_engine(exp.settings, *task[:2], None).run(*task)
 import where
 print(where.PLACES)

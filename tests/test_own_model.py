@@ -45,7 +45,7 @@ def here(quad, monkeypatch):
 def figures(exp, rows):
     """Those of some rows of a study's points, in a batch of their own."""
     rows = batches.assign_batches(exp, pd.DataFrame(), rows.reset_index(drop=True)).assign(width=len(rows))
-    exp = batches.with_delay_buffer(exp, rows)
+    exp = batches.allocate_delay_buffers(exp, rows)
     task, start = batches.make_batch(exp, rows), batches.make_nominal_batch(exp, rows, len(rows))
     return batches.make_engine(exp, start).run(task.world, task.belief, task.streams)
 

@@ -104,7 +104,7 @@ def test_all_parts_together_expand_to_no_more_than_their_size_warrants(monkeypat
     folder, asked = Path(__file__).parent / "data" / "ci_smoke", []
     monkeypatch.setattr(store, "check_expansion", lambda path, total, size: asked.append((total, size)))
     store.read_rows(folder)
-    parts = store.current_parts(folder)
+    parts = store.list_current_parts(folder)
     sizes = [store.read_table(folder, part).nbytes for part in parts]
     assert asked == [(sum(sizes[: k + 1]), sum(part.length for part in parts)) for k in range(2)]
 

@@ -60,7 +60,7 @@ def test_a_number_that_varies_moves_its_foothold_and_is_traced():
         _, stages = belief.manoeuvre.route(belief)
         return next(s.swing[5] for s in stages if s.name == "roof.front.on")
 
-    moved = [foothold(exp.system.make_sides({f"belief.{AHEAD}": value})[1]) for value in (start, start + by)]
+    moved = [foothold(exp.system.make_world_and_belief({f"belief.{AHEAD}": value})[1]) for value in (start, start + by)]
     assert foothold._cache_size() == 1
     np.testing.assert_allclose(moved[1] - moved[0], [0, -by * unit, 0], atol=1e-6)
 

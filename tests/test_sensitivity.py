@@ -93,7 +93,7 @@ def test_margins_reach_from_nominal_to_the_boundary(study):
         "friction": {"path": "contact.friction", "side": "world", "from": 0.2, "to": 1.0, "num": 5},
     }
     exp, rows = study(axes, lambda t: (t["world.contact.friction"] > 0.5) & (t["robot.shin"] < 0.38))
-    found = sensitivity.margins(rows, exp).set_index(["axis", "side"])
+    found = sensitivity.margins_from_nominal(rows, exp).set_index(["axis", "side"])
     shin = found.loc["robot.shin"]
     assert shin.loc["above", ["holds_to", "fails_at"]].tolist() == [0.35, 0.4]
     assert shin.loc["below", "holds_to"] == 0.25
@@ -146,12 +146,12 @@ def test_the_tolerance_to_an_error_is_told_on_either_side(study):
     axes = {"error": {"path": "robot.shin", "side": "belief", "relative": 1, "from": -0.08, "to": 0.08, "num": 9},
             "f": {"path": "contact.friction", "values": [0.5, 1.0]}}  # fmt: skip
     exp, rows = study(axes, succeeds, replicates=100)
-    found = sensitivity.tolerance(rows, exp, 0.5).query("axis == 'axis.error'").set_index("side")
+    found = sensitivity.tolerated_errors(rows, exp, 0.5).query("axis == 'axis.error'").set_index("side")
     for side, expected in (("above", 5 / 200), ("below", 5 / 50)):
         assert found.loc[side, "low"] < expected < found.loc[side, "high"]
     assert (found["total"] == 5 * 100).all()  # at the nominal friction only
     rows["outcome"] = np.where(np.arange(len(rows)) % 2, "success", "failure")
-    assert (sensitivity.tolerance(rows, exp, 0.9)["error"] == 0).all()
+    assert (sensitivity.tolerated_errors(rows, exp, 0.9)["error"] == 0).all()
 
 
 def test_regional_sensitivity_puts_what_matters_first(study):

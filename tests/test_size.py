@@ -120,7 +120,7 @@ def test_small_parts_share_a_row_group_of_a_parquet_table(tmp_path):
 
 def test_a_parquet_table_has_one_type_where_parts_lack_a_column(tmp_path):
     folder = shutil.copytree(FOLDER, tmp_path / "out")
-    parts = store.current_parts(folder)
+    parts = store.list_current_parts(folder)
     counted = [store.read_part(folder, part) for part in parts]
     counted[0]["hops"], counted[1]["is_far"] = 3, True
     entries = [
@@ -133,7 +133,7 @@ def test_a_parquet_table_has_one_type_where_parts_lack_a_column(tmp_path):
 
 def test_a_folder_whose_parts_are_merged_while_it_is_read_gives_each_row_once(tmp_path, monkeypatch):
     folder = shutil.copytree(FOLDER, tmp_path / "out")
-    before, parts = store.read_rows(folder), store.current_parts(folder)
+    before, parts = store.read_rows(folder), store.list_current_parts(folder)
     found = store.iterate_parts(folder)
     first = next(found)
     merged = store.pa.concat_tables([store.read_table(folder, part) for part in parts], promote_options="permissive")

@@ -6,7 +6,7 @@ from sweep.cli.main import main
 from sweep.config.experiment import compose
 from sweep.core.expressions import condition_mask
 from sweep.core.parameters import InputError
-from sweep.runs.batches import assign_batches, make_batch, make_nominal_batch, with_delay_buffer
+from sweep.runs.batches import allocate_delay_buffers, assign_batches, make_batch, make_nominal_batch
 from sweep.runs.runner import select_points
 from sweep.study.designs import parse_axes
 from sweep.study.study import make_points
@@ -114,17 +114,17 @@ def test_extending_a_study_keeps_membership_and_slots():
 
 def test_the_delay_buffer_has_room_for_the_longest_delay():
     exp, table = table_of("+study.axes.d={path: noise.delay, side: world, values: [0, 3]}")
-    assert with_delay_buffer(exp, table).case.noise.delay_buffer == 3
+    assert allocate_delay_buffers(exp, table).case.noise.delay_buffer == 3
     columns = "world.noise.delay", "world.noise.load_delay"
     table = pd.DataFrame([(0.0, 7.0), (5.0, 0.0), (4.0, 4.0)], columns=columns)
-    assert with_delay_buffer(exp, table).case.noise.delay_buffer == 8
+    assert allocate_delay_buffers(exp, table).case.noise.delay_buffer == 8
 
 
 def test_the_delay_buffer_has_room_for_all_that_may_be_drawn():
     axis = "+study.axes.d={path: noise.delay, side: world, distribution: {kind: uniform, from: 0, to: 12}}"
     exp, table = table_of(axis, "study.design.num=2")
     assert table["world.noise.delay"].max() < 11
-    assert with_delay_buffer(exp, table).case.noise.delay_buffer == 12
+    assert allocate_delay_buffers(exp, table).case.noise.delay_buffer == 12
 
 
 def test_rows_of_a_file_have_noise_of_their_own_wherever_they_stand(tmp_path):

@@ -20,7 +20,7 @@ def simulate(*axis):
     """Times (rollouts, ticks) that the policy has seen, as its first action is: what is late, wrong or held."""
     exp = compose(["study=one", "engine.precision=float64", *axis])
     rows = select_points(exp)
-    exp = batches.with_delay_buffer(exp, rows)
+    exp = batches.allocate_delay_buffers(exp, rows)
     rows = batches.assign_batches(exp, pd.DataFrame(), rows).assign(width=len(rows))
     task = batches.make_batch(exp, rows)
     made = exp.system.make_engine(task.settings, task.world, task.belief, None)

@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from sweep.cli.main import main
-from sweep.cli.plan_search import drawn_sizes, plan_content
+from sweep.cli.plan_search import nominal_drawn_sizes, tuned_plan_content
 from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.planning import plan_table
@@ -28,7 +28,7 @@ from sweep.planning.score import (
 )
 from sweep.planning.score import with_value as moved
 from sweep.runs import tuning
-from sweep.runs.tuning import fit_size_slopes, free_numbers, search_by_cma, search_by_gradients
+from sweep.runs.tuning import fit_size_slopes, parse_free_numbers, search_by_cma, search_by_gradients
 from sweep.runs.unsearched_values import describe_unsearched_values
 from sweep.study.study import make_points
 
@@ -128,11 +128,14 @@ def test_what_draws_want_is_found_and_an_interrupted_search_goes_on(by, ends, of
 
 def test_numbers_are_free_by_pattern_times_only_by_a_step():
     at = {"top.rear.time": 3.0, "top.rear.base.ahead": 0.1, "top.rear.base.pitch": 5.0, "over.lift": 1.0}
-    assert free_numbers(at, ["top.*"]) == {"top.rear.base.ahead": 0.02, "top.rear.base.pitch": 2.0}
-    assert free_numbers(at, ["*.time=0.5", "*.pitch", "*.pitch=1"]) == {"top.rear.time": 0.5, "top.rear.base.pitch": 1}
+    assert parse_free_numbers(at, ["top.*"]) == {"top.rear.base.ahead": 0.02, "top.rear.base.pitch": 2.0}
+    assert parse_free_numbers(at, ["*.time=0.5", "*.pitch", "*.pitch=1"]) == {
+        "top.rear.time": 0.5,
+        "top.rear.base.pitch": 1,
+    }
     for wrong in ("roof.*", "*=wide", "*=-1", "*.time"):
         with pytest.raises(InputError, match=r"--free = "):
-            free_numbers(at, [wrong])
+            parse_free_numbers(at, [wrong])
 
 
 def test_a_plan_that_touches_is_tuned_until_it_does_not(tmp_path, monkeypatch, capsys):
@@ -163,12 +166,12 @@ def test_a_plan_that_touches_is_tuned_until_it_does_not(tmp_path, monkeypatch, c
 def test_a_formula_is_free_with_a_step_and_raised_to_what_is_found():
     case, path = compose(["scenario=pole_climb"]).case, "climb.up.rear.rear.above"
     formulas = plan_table.formula_values(case)
-    assert set(free_numbers(plan_table.plan_values(case), ["climb.up.rear.*"], formulas)) == {
+    assert set(parse_free_numbers(plan_table.plan_values(case), ["climb.up.rear.*"], formulas)) == {
         f"climb.up.rear.{name}" for name in ("rear.ahead", "lift", "plane.out", "plane.ahead", "plane.up")
     }
-    assert free_numbers(plan_table.plan_values(case), [f"{path}=0.1"], formulas) == {path: 0.1}
+    assert parse_free_numbers(plan_table.plan_values(case), [f"{path}=0.1"], formulas) == {path: 0.1}
     found = {path: formulas[path] + 0.01, "climb.up.middle.base.above": formulas["climb.up.middle.base.above"] + 1e-5}
-    content = plan_content(case, found)
+    content = tuned_plan_content(case, found)
     assert content["climb"]["up.rear"]["rear"]["side"] == [0, "upright - reach + 0.01"]
     assert content["climb"]["up.middle"] == plan_table.plan_content(case)["climb"]["up.middle"]
     longer = replace(case, robot=replace(case.robot, body_length=1.06))  # which it goes on to follow
@@ -347,7 +350,7 @@ def test_a_foot_that_lands_has_not_swung_into_the_ground(tmp_path, monkeypatch):
 def test_numbers_do_not_follow_a_size_that_is_nought():
     exp = compose(["scenario=ball_to_ball", f"study={STUDIES / 'ball_to_ball_known.yaml'}"])
     assert exp.case.obstacle.offset == 0
-    assert "obstacle.gap" in (sizes := drawn_sizes(exp))
+    assert "obstacle.gap" in (sizes := nominal_drawn_sizes(exp))
     assert "obstacle.offset" not in sizes
 
 

@@ -64,7 +64,7 @@ def commands(folder):
 @pytest.mark.parametrize("place", ["part", "beside"])
 def test_a_manifest_names_files_of_the_folder_only(folder, secret, capsys, name, place):
     name = name.format(secret=secret)
-    entry = dataclasses.replace(store.current_parts(folder)[0], file=name, length=len(SECRET), labels="others")
+    entry = dataclasses.replace(store.list_current_parts(folder)[0], file=name, length=len(SECRET), labels="others")
     manifest_line = manifest.format_line(entry if place == "part" else dataclasses.replace(entry, batches=()))
     with (folder / manifest.MANIFEST_FILE).open("a") as file:
         file.write(f"{manifest_line}\n")
@@ -81,7 +81,7 @@ def test_a_manifest_names_files_of_the_folder_only(folder, secret, capsys, name,
 
 
 def test_a_manifest_line_with_values_of_other_types_is_one_line(folder, capsys):
-    good = dataclasses.asdict(store.current_parts(folder)[0])
+    good = dataclasses.asdict(store.list_current_parts(folder)[0])
     for change in ({"file": 3}, {"batches": ["0"]}, {"length": None}, {"more": 1}):
         text = manifest.json.dumps({**good, **change})
         (folder / manifest.MANIFEST_FILE).write_text(f"{manifest.files.digest(text.encode())[:16]} {text}\n")
@@ -93,7 +93,7 @@ def test_a_manifest_line_with_values_of_other_types_is_one_line(folder, capsys):
                                   store.LOCK_FILE, "report.html",
                                   "parts", "part"])  # fmt: skip
 def test_a_link_that_leads_out_of_the_folder_is_not_followed(folder, secret, capsys, name):
-    path = folder / (store.current_parts(folder)[0].file if name == "part" else name)
+    path = folder / (store.list_current_parts(folder)[0].file if name == "part" else name)
     if name == "parts":
         shutil.move(path, secret.with_name("elsewhere"))
         path.symlink_to(secret.with_name("elsewhere"))
@@ -118,7 +118,7 @@ def test_a_link_that_leads_out_of_the_folder_is_not_followed(folder, secret, cap
 
 
 def test_a_pipe_in_a_folder_is_refused_and_not_waited_for(folder, capsys):
-    for name in (store.POINTS_FILE, store.current_parts(folder)[0].file):
+    for name in (store.POINTS_FILE, store.list_current_parts(folder)[0].file):
         content = (folder / name).read_bytes()
         (folder / name).unlink()
         os.mkfifo(folder / name)
@@ -188,7 +188,7 @@ def test_a_study_file_with_values_of_other_types_is_one_line(folder, capsys, pat
 
 @pytest.mark.parametrize("name", ["parts/a\nb.parquet", "parts/\x1b[2J", f"parts/{'n' * 5000}", "parts/./x", "parts/ü"])
 def test_a_manifest_names_files_by_plain_words(folder, capsys, name):
-    entry = dataclasses.replace(store.current_parts(folder)[0], file=name)
+    entry = dataclasses.replace(store.list_current_parts(folder)[0], file=name)
     (folder / manifest.MANIFEST_FILE).write_text(f"{manifest.format_line(entry)}\n")
     assert main(["table", str(folder)]) == 2
     error = capsys.readouterr().err
@@ -220,7 +220,7 @@ def test_a_replay_puts_no_markup_into_a_page(folder, capsys):
 def forged(folder, change):
     """The folder with the rows of its first part changed, and a manifest that vouches for them."""
     entries = manifest.read_manifest(folder)
-    part = store.current_parts(folder)[0]
+    part = store.list_current_parts(folder)[0]
     rows = change(store.read_part(folder, part))
     manifest.rewrite_manifest(folder, [one for one in entries if one != part])
     (folder / part.file).unlink()
@@ -259,7 +259,7 @@ def test_words_that_a_spreadsheet_computes_are_refused(folder, capsys):
 
 
 def test_verify_counts_planned_rollouts_that_are_not_there(folder, capsys):
-    part = store.current_parts(folder)[2]
+    part = store.list_current_parts(folder)[2]
     manifest.rewrite_manifest(folder, [one for one in manifest.read_manifest(folder) if one != part])
     (folder / part.file).unlink()
     assert main(["verify", str(folder)]) == 0

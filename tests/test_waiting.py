@@ -26,11 +26,11 @@ def test_a_wait_in_a_pipe_is_told_and_remembered(monkeypatch, tmp_path, capsys):
 def test_which_program_is_compiled_is_told_with_what_it_took_last_time(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(progress, "MIN_STORED_DURATION_S", 0.0)
-    with progress.time_part("plan"), progress.time_part("closed loop"):
+    with progress.time_step_part("plan"), progress.time_step_part("closed loop"):
         assert progress.format_running_parts("ladder for mjx") == ": plan for 0 s and closed loop for 0 s"
         time.sleep(0.1)
     progress.remember_duration("ladder for mjx", 50.0)
-    with progress.time_part("plan"):
+    with progress.time_step_part("plan"):
         assert progress.format_running_parts("ladder for mjx") == ": plan for 0 s (0 s last time)"
         assert progress.format_running_parts("walk for mjx") == ": plan for 0 s"
     assert progress.format_running_parts("ladder for mjx") == ""

@@ -90,7 +90,7 @@ def _stepping(
 def _by_xla(one: Step, case: Case, states: PhysicsState, references: jax.Array) -> Record:
     axes, own = jax.tree.map(lambda x: -1 if np.ndim(x) else None, case), references.ndim == 4
     references = jnp.moveaxis(references, 1, -1) if own else references
-    batch = batch_last_vmap(one, (axes, -1, -1 if own else None), devices.reuse_threshold())
+    batch = batch_last_vmap(one, (axes, -1, -1 if own else None), devices.recomputation_cost_threshold())
     states = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), states)
     # run once, it is not worth the minute or two that optimising it takes
     program = jax.jit(

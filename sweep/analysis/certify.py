@@ -27,7 +27,7 @@ SIGNIFICANT_DIGITS = 9  # significant digits of a region's numbers, so that its 
 
 
 @dataclass(frozen=True)
-class Boxes:
+class NestedBoxes:
     """Nested axis-aligned boxes: each box takes one side off the one before. The first holds all learning rows."""
 
     low: np.ndarray  # (boxes, d)
@@ -47,7 +47,7 @@ class Boxes:
 
 
 @dataclass(frozen=True)
-class LogOdds:
+class QuadraticLogOdds:
     """Quadratic log odds of failure: constant + linear z + z' form z, where z = (x - centre) / scale."""
 
     centre: np.ndarray  # (d,)
@@ -72,7 +72,7 @@ class LogOdds:
         return f"{_text(self.constant)} + {' + '.join(terms)} <= {float(threshold)!r}"
 
 
-RegionScore = Boxes | LogOdds  # regions are where the score is small
+RegionScore = NestedBoxes | QuadraticLogOdds  # regions are where the score is small
 
 
 def _rounded(numbers: np.ndarray) -> np.ndarray:
@@ -83,7 +83,7 @@ def _text(number: float) -> str:
     return f"{number:.{SIGNIFICANT_DIGITS}g}"
 
 
-def required_rows(failures: float, confidence: float) -> int:
+def required_failure_free_rows(failures: float, confidence: float) -> int:
     """Return the number of rows without any failure that certify a failure probability.
 
     Args:
@@ -100,7 +100,7 @@ def failure_upper_bound(failed: int, rows: int, confidence: float) -> float:
     return 1.0 if failed >= rows else float(betaincinv(failed + 1, rows - failed, confidence))
 
 
-def allowed_failures(rows: ArrayLike, failures: float, confidence: float) -> np.ndarray:
+def most_failures_that_certify(rows: ArrayLike, failures: float, confidence: float) -> np.ndarray:
     """Return the largest numbers of failures among `rows` that still certify `failures`; -1 with too few rows.
 
     Args:
@@ -117,7 +117,7 @@ def allowed_failures(rows: ArrayLike, failures: float, confidence: float) -> np.
     return np.where(binom.cdf(guess, rows, failures) <= 1 - confidence, guess, guess - 1).astype(int)
 
 
-def fit_box(x: np.ndarray, failed: np.ndarray, least: float) -> Boxes:
+def fit_box(x: np.ndarray, failed: np.ndarray, least: float) -> NestedBoxes:
     """Learn nested boxes by the patient rule induction method (PRIM, Friedman and Fisher 1999).
 
     Each step removes the side with the largest failure rate among the draws it removes. Once no failure is left, it
@@ -148,10 +148,10 @@ def fit_box(x: np.ndarray, failed: np.ndarray, least: float) -> Boxes:
         inside &= (x[:, axis] >= low[axis]) & (x[:, axis] <= high[axis])
         lows.append(low)
         highs.append(high)
-    return Boxes(np.array(lows), np.array(highs))
+    return NestedBoxes(np.array(lows), np.array(highs))
 
 
-def fit_log_odds(x: np.ndarray, failed: np.ndarray, convex: bool) -> LogOdds:
+def fit_log_odds(x: np.ndarray, failed: np.ndarray, convex: bool) -> QuadraticLogOdds:
     """Fit a logistic model of failure with a quadratic exponent and a ridge penalty.
 
     Args:
@@ -192,10 +192,12 @@ def fit_log_odds(x: np.ndarray, failed: np.ndarray, convex: bool) -> LogOdds:
     weights = minimize(loss, start, jac=True, method="L-BFGS-B").x
     root = weights[1 + d :].reshape(d, d)
     form = root.T @ root + MIN_CURVATURE * np.eye(d) if convex else root
-    return LogOdds(centre, scale, float(_text(weights[0])), _rounded(weights[1 : 1 + d]), _rounded((form + form.T) / 2))
+    return QuadraticLogOdds(
+        centre, scale, float(_text(weights[0])), _rounded(weights[1 : 1 + d]), _rounded((form + form.T) / 2)
+    )
 
 
-def learn_score(shape: str, x: np.ndarray, failed: np.ndarray, least: float) -> RegionScore:
+def learn_region_score(shape: str, x: np.ndarray, failed: np.ndarray, least: float) -> RegionScore:
     """Learn a score whose sublevel sets are nested regions with few failures.
 
     Args:
@@ -231,7 +233,7 @@ def candidate_thresholds(
     inside = scores <= every[:, None]
     rows, bad = inside.sum(axis=1), (inside & failed).sum(axis=1)
     falling = np.round(fresh * rows / len(scores)).astype(int)
-    allowed = allowed_failures(falling, failures, confidence)
+    allowed = most_failures_that_certify(falling, failures, confidence)
     power = binom.cdf(allowed, falling, (bad + 0.5) / (rows + 1.0))
     return every[int(np.argmax(power)) :]
 
@@ -270,7 +272,7 @@ class Certificate:
         return self.score(x) <= self.threshold
 
 
-def certify(
+def certify_largest_region(
     score: RegionScore,
     learning: tuple[np.ndarray, np.ndarray],
     fresh: tuple[np.ndarray, np.ndarray],
@@ -282,7 +284,7 @@ def certify(
     The promise holds for future draws from the same distribution that fall into the region.
 
     Args:
-        score: Score of `learn_score`, whose sublevel sets are the candidate regions.
+        score: Score of `learn_region_score`, whose sublevel sets are the candidate regions.
         learning: Rows (n, d) that the score was learned from, and whether each failed (n,); invalid rows count as
             failed.
         fresh: Independent rows (m, d) of the same distribution, and whether each failed (m,).
@@ -295,7 +297,7 @@ def certify(
     Raises:
         InputError: There are too few fresh rows to certify any region.
     """
-    need, (x, failed) = required_rows(failures, confidence), fresh
+    need, (x, failed) = required_failure_free_rows(failures, confidence), fresh
     if len(x) < need:
         raise InputError(
             f"{len(x)} fresh rows cannot certify {failures:g} at {confidence:.1%}: at least {need}, if none fails"

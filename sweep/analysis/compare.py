@@ -124,7 +124,7 @@ def varied_axes(pairs: pd.DataFrame) -> list[str]:
     return [c for c in pairs.columns if "." in c and not c.endswith(SECOND_RUN_MARK)]
 
 
-def independent_unit_of_pairs(pairs: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
+def unit_numbers_of_pairs(pairs: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
     """Return the number of the independent unit of each pair, or None if the pairs are not a random sample.
 
     Args:
@@ -142,7 +142,7 @@ def count_flips(pairs: pd.DataFrame, unit: np.ndarray | None = None) -> OutcomeF
 
     Args:
         pairs: Pairs of rows (n), see `pair_rows`.
-        unit: Independent unit of each pair (n,), see `independent_unit_of_pairs`; only pairs of different units are
+        unit: Independent unit of each pair (n,), see `unit_numbers_of_pairs`; only pairs of different units are
             independent. None if the pairs are not a random sample, such as those of a grid: no p-value then.
 
     Returns:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sweep.analysis.certify import allowed_failures
+from sweep.analysis.certify import most_failures_that_certify
 from sweep.analysis.compare import sign_flip_p
 from sweep.analysis.intervals import (
     CONFIDENCE_LEVEL,
@@ -24,7 +24,7 @@ from sweep.analysis.sampling_units import has_draws, independent_unit
 from sweep.analysis.sequential import TEST_POWER, log_e_value
 from sweep.analysis.stats import format_percent
 from sweep.core.errors import InputError
-from sweep.study.designs import drawn_names
+from sweep.study.designs import drawn_axis_names
 from sweep.study.study import Study
 
 MAX_ROLLOUTS = 10**10  # a study that needs more is not planned
@@ -253,7 +253,7 @@ def certification_power(draws: int, share: float, rate: float, failures: float, 
     from scipy.stats import binom
 
     inside, probability = binomial_law(draws, share)
-    allowed = allowed_failures(inside, failures, confidence)
+    allowed = most_failures_that_certify(inside, failures, confidence)
     return float((probability * np.where(allowed < 0, 0.0, binom.cdf(allowed, inside, rate))).sum())
 
 
@@ -371,7 +371,7 @@ def describe_expected_half_width(study: Study) -> str:
     if unit.name == "none" or study.is_sequential or (has_draws(study) and not study.design.gives_rate):
         return ""
     is_drawn = has_draws(study)
-    draws = study.design.count_draws(len(drawn_names(study.axes))) if is_drawn else study.replicates
+    draws = study.design.count_draws(len(drawn_axis_names(study.axes))) if is_drawn else study.replicates
     rows = draws * study.replicates if is_drawn else draws
     texts = []
     for rate in DRY_RUN_RATES:

@@ -16,7 +16,7 @@ from sweep.analysis.stats import success_rates
 from sweep.config.experiment import Experiment
 from sweep.core.distinct_values import are_all_different, has_several_values
 from sweep.study.design_kinds.base import SamplingUnit
-from sweep.study.designs import drawn_names
+from sweep.study.designs import drawn_axis_names
 from sweep.study.study import Study, parameter_columns
 
 REPLICATE = SamplingUnit("replicate")  # of a grid: its noise is the same at every grid point
@@ -62,7 +62,7 @@ def unit_numbers(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
     """
     study, draws = exp.study, draw_ids(rows, exp)
     if has_draws(study):
-        return study.design.unit_numbers(draws, len(drawn_names(study.axes)))
+        return study.design.unit_numbers(draws, len(drawn_axis_names(study.axes)))
     return draws if study.replicates > 1 else None
 
 

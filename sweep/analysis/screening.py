@@ -8,11 +8,11 @@ from sweep.analysis.intervals import CONFIDENCE_LEVEL
 from sweep.analysis.sampling_units import draw_ids
 from sweep.analysis.sensitivity import (
     MIN_RARER_OUTCOMES,
+    count_rarer_outcome,
     drawn_axes,
     listed_axes,
     numeric_axes,
-    outcome_values,
-    rarer_outcomes,
+    sensitivity_response,
 )
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
@@ -97,7 +97,7 @@ def rbd_fast_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = N
     names, x, y = _sample(rows, exp, figure, "RBD-FAST needs")
     indices = salib.analyze({"num_vars": len(names), "names": names}, x, y, RBD_HARMONICS, seed=0)
     error = indices["S1_conf"]
-    too_few = figure is None and rarer_outcomes(y) < MIN_RARER_OUTCOMES
+    too_few = figure is None and count_rarer_outcome(y) < MIN_RARER_OUTCOMES
     if exp.study.design.is_low_discrepancy or too_few:  # the order of a sequence biases its harmonics
         error = np.full(len(names), np.nan)
     table = pd.DataFrame({"axis": names, "first": indices["S1"], "error": error, "draws": len(y)})
@@ -114,7 +114,7 @@ def _sample(
         raise InputError(f"{what} a study with draws of design.kind = {', '.join(kinds)}")
     if conditions := listed_axes(rows, exp):
         raise InputError(f"{what} one grid point: choose among {', '.join(a.column for a in conditions)}")
-    value = outcome_values(rows, figure)
+    value = sensitivity_response(rows, figure)
     if exp.study.replicates > 1:  # a draw counts once, by the mean of its valid replicates
         draws = draw_ids(rows, exp)
         value = value.groupby(draws).transform("mean")[~pd.Series(draws).duplicated().to_numpy()]

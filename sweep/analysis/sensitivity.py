@@ -23,7 +23,7 @@ from sweep.core.errors import InputError
 from sweep.core.expressions import find_column
 from sweep.study import design_kinds
 from sweep.study.design_kinds.base import Sensitivity
-from sweep.study.designs import Axis, drawn_names, unit_draws
+from sweep.study.designs import Axis, draw_quantiles, drawn_axis_names
 
 PERMUTATION_RANGE, MAX_PERMUTED_NUMBERS = (
     (199, 999),
@@ -83,7 +83,7 @@ def success_volume(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     Returns:
         The table of `stats.success_rates`: a row for each condition.
     """
-    rows = rows[exp.study.design.select_rate_draws(draw_ids(rows, exp), len(drawn_names(exp.study.axes)))]
+    rows = rows[exp.study.design.select_rate_draws(draw_ids(rows, exp), len(drawn_axis_names(exp.study.axes)))]
     return condition_rates(rows, exp, [a.column for a in listed_axes(rows, exp)], clopper_pearson)
 
 
@@ -189,7 +189,7 @@ def one_at_a_time_rates(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     return table if exp.study.has_repeats else table.assign(low=np.nan, high=np.nan)
 
 
-def margins(rows: pd.DataFrame, exp: Experiment, level: float = 0.5) -> pd.DataFrame:
+def margins_from_nominal(rows: pd.DataFrame, exp: Experiment, level: float = 0.5) -> pd.DataFrame:
     """Compute how far from nominal success holds along each listed axis, the others nominal.
 
     Args:
@@ -218,7 +218,7 @@ def margins(rows: pd.DataFrame, exp: Experiment, level: float = 0.5) -> pd.DataF
 
 
 @dataclass(frozen=True)
-class Logistic:
+class LogisticFit:
     """A logistic model P(success) = 1 / (1 + exp(-(intercept + slope x))), and its coefficients' covariance (2, 2)."""
 
     intercept: float
@@ -257,7 +257,7 @@ class Logistic:
         return v[0, 0] + 2 * v[0, 1] * x + v[1, 1] * x**2
 
 
-def fit_logistic(x: ArrayLike, success: ArrayLike) -> Logistic:
+def fit_logistic(x: ArrayLike, success: ArrayLike) -> LogisticFit:
     """Fit a logistic model by Firth's penalised likelihood, which stays finite for separable data.
 
     Args:
@@ -280,10 +280,10 @@ def fit_logistic(x: ArrayLike, success: ArrayLike) -> Logistic:
         if np.abs(step).max() < 1e-8:
             break
     to_x = np.array([1.0, 1.0 / scale])
-    return Logistic(b[0], b[1] / scale, np.linalg.pinv(information) * np.outer(to_x, to_x))
+    return LogisticFit(b[0], b[1] / scale, np.linalg.pinv(information) * np.outer(to_x, to_x))
 
 
-def goodness_of_fit_p(fit: Logistic, x: np.ndarray, success: np.ndarray, unit: np.ndarray | None = None) -> float:
+def goodness_of_fit_p(fit: LogisticFit, x: np.ndarray, success: np.ndarray, unit: np.ndarray | None = None) -> float:
     """Test whether the success rates at the values of `x` follow a logistic fit (Pearson's test).
 
     Args:
@@ -324,7 +324,7 @@ def goodness_of_fit_p(fit: Logistic, x: np.ndarray, success: np.ndarray, unit: n
     return float(chi2.sf(residual @ np.linalg.pinv(variance, rcond=1e-6, hermitian=True) @ residual, len(p) - 2))
 
 
-def tolerance(rows: pd.DataFrame, exp: Experiment, probability: float = 0.9) -> pd.DataFrame:
+def tolerated_errors(rows: pd.DataFrame, exp: Experiment, probability: float = 0.9) -> pd.DataFrame:
     """Estimate how large an error along each listed axis may be: where P(success) falls to `probability`.
 
     Args:
@@ -460,7 +460,7 @@ def total_effects(values: np.ndarray, weights: list[np.ndarray]) -> np.ndarray:
     return np.array(left) / variance if variance > 0 else np.full(values.ndim, np.nan)
 
 
-def outcome_values(rows: pd.DataFrame, figure: str | None) -> pd.Series:
+def sensitivity_response(rows: pd.DataFrame, figure: str | None) -> pd.Series:
     """Return the values whose sensitivity is estimated: 1 or 0 for success, or the column `figure`; NaN for invalid
     rollouts.
 
@@ -492,7 +492,7 @@ def _blocks(
     if conditions := listed_axes(rows, exp):
         raise InputError(f"{what} need one grid point: choose among {', '.join(a.column for a in conditions)}")
     value, draw, length = (
-        outcome_values(rows, figure),
+        sensitivity_response(rows, figure),
         rows["replicate"] // exp.study.replicates,
         exp.study.design.block_size(len(axes)),
     )
@@ -531,14 +531,14 @@ def sobol_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None
     base = whole[:, [0, -1]]  # columns: A, A with an axis of B for each axis, B
     squares = (whole[:, 1:-1] - base[:, :1]) ** 2
     least = _binomial_error(squares, 1.0 if figure is None else None) / (2 * base.var())
-    if len(whole) < MIN_BLOCKS or (figure is None and rarer_outcomes(base) < MIN_RARER_OUTCOMES):
+    if len(whole) < MIN_BLOCKS or (figure is None and count_rarer_outcome(base) < MIN_RARER_OUTCOMES):
         least[:] = np.nan
     columns = {"first": result["S1"], "first_error": np.maximum(result["S1_conf"], least)}
     columns |= {"total": result["ST"], "total_error": np.maximum(result["ST_conf"], least)}
     return pd.DataFrame({"axis": problem["names"], **columns, "blocks": len(whole)})
 
 
-def rarer_outcomes(successes: np.ndarray) -> float:
+def count_rarer_outcome(successes: np.ndarray) -> float:
     """Count the rarer of success and failure among outcomes, which may be shares of replicates."""
     share = float(np.mean(successes))
     return np.size(successes) * min(share, 1 - share)
@@ -598,7 +598,7 @@ def elementary_effects(rows: pd.DataFrame, exp: Experiment, figure: str | None =
     if whole.sum() < 2:
         raise InputError(f"elementary effects need two complete paths of {length} draws, here: {whole.sum()}")
     chosen = np.repeat(whole, length)
-    shares = unit_draws(exp.study.axes, exp.study.design, exp.study.seed)[chosen]
+    shares = draw_quantiles(exp.study.axes, exp.study.design, exp.study.seed)[chosen]
     grid = exp.study.design.trajectory_grid
     assert grid is not None  # every design for elementary effects has one
     bounds = [[grid.low, grid.high]] * len(axes)

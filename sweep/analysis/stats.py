@@ -8,7 +8,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from sweep.analysis.intervals import Interval, confidence_sequence, korn_graubard, wilson
-from sweep.core.distinct_values import count_distinct, number_distinct
+from sweep.core.distinct_values import count_distinct, rank_distinct_values
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def _ends_by_unit(
         ends: That interval of each group (g,).
     """
     number = len(ends.low)
-    codes = number_distinct(unit)
+    codes = rank_distinct_values(unit)
     if codes.max(initial=-1) + 1 == len(codes):  # no two rows share a unit
         return ends
     pair, place = np.unique(group * (codes.max(initial=0) + 1) + codes, return_inverse=True)

@@ -97,7 +97,7 @@ def cpu_context() -> contextlib.AbstractContextManager:
         raise InputError("engine.name = native needs JAX's CPU: set JAX_PLATFORMS=cuda,cpu") from None
 
 
-def reuse_threshold() -> int:
+def recomputation_cost_threshold() -> int:
     """Return the cost above which `batch_last_vmap` stores a value instead of computing it again; none on a GPU, whose
     compiler decides."""
     return 8 if jax.default_backend() == "cpu" else NEVER_REUSE

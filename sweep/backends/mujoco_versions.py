@@ -32,7 +32,7 @@ YIELDING_SPRING_FIELDS = {
 }
 
 
-def batched_fields(batch: Batch, written: Collection[str]) -> dict[str, np.ndarray]:
+def differing_model_fields(batch: Batch, written: Collection[str]) -> dict[str, np.ndarray]:
     """Return the numeric model fields that may differ between the models of a batch, (n, ...) each.
 
     Args:

@@ -43,7 +43,7 @@ def compare_anytime(args: argparse.Namespace, by: list[str] | None) -> sequentia
     while True:
         a, b = (named_rows(*one) for one in zip(rows, exps, conditions, strict=True))
         pairs = compare.pair_rows(a, b, by)
-        if (unit := compare.independent_unit_of_pairs(pairs, exps[0])) is None:
+        if (unit := compare.unit_numbers_of_pairs(pairs, exps[0])) is None:
             what = "were not drawn at random: they form a grid, or a search placed them"
             raise InputError(
                 f"--anytime needs random draws, or noisy replicates of one point: the points of {args.a} {what}"

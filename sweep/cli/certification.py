@@ -18,7 +18,7 @@ from sweep.cli.run_progress import report_progress
 from sweep.config.experiment import Experiment, build_experiment
 from sweep.core.errors import InputError
 from sweep.core.files import path_inside_folder
-from sweep.report.tables import page_table
+from sweep.report.tables import markdown_table
 from sweep.runs import extend, results, runner, store
 from sweep.study import design_kinds
 
@@ -36,27 +36,31 @@ def certify_region(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
     check_arguments(args)
     folder, rows = args.dir, store.read_rows(args.dir)
     exp = results.load_experiment(folder)
-    names = drawn_parameters(exp, rows)
+    names = drawn_parameter_columns(exp, rows)
     order = np.random.default_rng(0).permutation(len(rows))
     learned = parameters_and_failures(rows if args.rollouts else rows.iloc[order[::2]], names)
     if learned[1].all():
         raise InputError("no region can be formed: none of the rows to fit it to succeeds")
-    least = certify.required_rows(args.failures, args.confidence) / (args.rollouts or len(rows) // 2)
+    least = certify.required_failure_free_rows(args.failures, args.confidence) / (args.rollouts or len(rows) // 2)
     with ThreadPoolExecutor() as pool:  # what is learned is learned while fresh draws are simulated
-        score = pool.submit(certify.learn_score, args.shape, *learned, least)
+        score = pool.submit(certify.learn_region_score, args.shape, *learned, least)
         worst = pool.submit(certify.fit_log_odds, *learned, convex=False) if args.shape != "score" else score
         new = partial(simulate_fresh_draws, exp, path_inside_folder(folder, FRESH_DRAWS_STUDY), exp.study.seed + 1)
         fresh = new(args.rollouts) if args.rollouts else rows.iloc[order[1::2]]
-    found = certify.certify(
+    found = certify.certify_largest_region(
         score.result(), learned, parameters_and_failures(fresh, names), args.failures, args.confidence
     )
     lines = [format_certificate(found, args.shape, names)]
     if not learned[1].any():
         lines.append("no region can be formed: none of the rows to fit it to failed; draw from wider distributions")
-    again = check_region(exp, folder, found, names, worst.result()) if found.is_certified and args.rollouts else []
+    again = (
+        check_region_by_simulation(exp, folder, found, names, worst.result())
+        if found.is_certified and args.rollouts
+        else []
+    )
     if again:
-        lines += ["", page_table(pd.DataFrame([{**one, "95 %": failure_interval(one)} for one in again]))]
-    return "\n".join(lines), certificate_data(found, args, names) | {"checked": again}
+        lines += ["", markdown_table(pd.DataFrame([{**one, "95 %": format_failure_interval(one)} for one in again]))]
+    return "\n".join(lines), certificate_as_json_values(found, args, names) | {"checked": again}
 
 
 def check_arguments(args: argparse.Namespace) -> None:
@@ -64,12 +68,14 @@ def check_arguments(args: argparse.Namespace) -> None:
     for name in ("failures", "confidence"):
         if not 0 < getattr(args, name) < 1:
             raise InputError(f"--{name} = {getattr(args, name):g} is not allowed: between 0 and 1")
-    if args.rollouts is not None and args.rollouts < (need := certify.required_rows(args.failures, args.confidence)):
+    if args.rollouts is not None and args.rollouts < (
+        need := certify.required_failure_free_rows(args.failures, args.confidence)
+    ):
         takes = f"{args.failures:g} at {format_share(args.confidence)} takes at least {need}, if none of them fails"
         raise InputError(f"--rollouts = {args.rollouts} is not allowed: {takes}")
 
 
-def drawn_parameters(exp: Experiment, rows: pd.DataFrame) -> list[str]:
+def drawn_parameter_columns(exp: Experiment, rows: pd.DataFrame) -> list[str]:
     """Columns of the drawn axes. Raises `InputError` where rows are not independent draws of a few numbers."""
     own = exp.study
     if not (has_draws(own) and own.design.has_independent_draws) or own.replicates > 1 or own.is_refined:
@@ -94,21 +100,21 @@ def parameters_and_failures(rows: pd.DataFrame, names: list[str]) -> tuple[np.nd
 
 def simulate_fresh_draws(exp: Experiment, folder: Path, seed: int, number: int) -> pd.DataFrame:
     """Simulate draws of the study with another seed, in a folder of their own, and read their rows."""
-    fresh = with_seed(exp, folder, seed, number)
+    fresh = with_seed_and_draws(exp, folder, seed, number)
     with report_progress("fresh draws", number, f"{exp.scenario} for fresh draws") as report:
         extend.extend_study(fresh, folder, number, report)
     rows = store.read_rows(folder)
     return rows[rows["replicate"] < number]
 
 
-def with_seed(exp: Experiment, folder: Path, seed: int, number: int) -> Experiment:
+def with_seed_and_draws(exp: Experiment, folder: Path, seed: int, number: int) -> Experiment:
     """Return the study with another seed and number of draws."""
     own = exp.values["study"]
     study = {**own, "seed": seed, "design": {**own["design"], "num": number}, "keep": [], "expect": []}
     return build_experiment({**exp.values, "study": study, "out": str(folder)})
 
 
-def check_region(
+def check_region_by_simulation(
     exp: Experiment, folder: Path, certificate: certify.Certificate, names: list[str], worst: certify.RegionScore
 ) -> list[dict[str, Any]]:
     """Count failures where the region looks worst, and outside of it. These draws are not part of the guarantee.
@@ -121,7 +127,7 @@ def check_region(
         int(store.read_points(path_inside_folder(folder, FRESH_DRAWS_STUDY))["width"].iloc[0]),
     )
     place = path_inside_folder(folder, CHECK_STUDY)
-    again = with_seed(exp, place, exp.study.seed + 2, number)
+    again = with_seed_and_draws(exp, place, exp.study.seed + 2, number)
     again = replace(again, settings=replace(again.settings, width=width))
     table = runner.select_points(again)
     x = table[names].to_numpy(dtype=float)
@@ -142,7 +148,7 @@ def check_region(
     return lines
 
 
-def failure_interval(check: dict[str, Any]) -> str:
+def format_failure_interval(check: dict[str, Any]) -> str:
     """Format the confidence interval of the share of failures among checked draws."""
     low, high = (format_percent(float(v)) for v in clopper_pearson(check["fail"], check["rollouts"]))
     return f"{low} to {high}"
@@ -172,7 +178,9 @@ def format_share(share: float) -> str:
     return f"{100 * share:g} %"
 
 
-def certificate_data(certificate: certify.Certificate, args: argparse.Namespace, names: list[str]) -> dict[str, Any]:
+def certificate_as_json_values(
+    certificate: certify.Certificate, args: argparse.Namespace, names: list[str]
+) -> dict[str, Any]:
     """Convert the certificate to plain values for JSON."""
     return {
         "study": str(args.dir),

@@ -36,10 +36,10 @@ def refuse_unknown_choices(overrides: list[str]) -> None:
         try:
             require_choice(name, {**shipped_choices(group), **project.project_files(group)}, f"{group} = {name}")
         except InputError as error:
-            raise InputError(f"{error}{EVIDENCE_HINT if group == 'study' else ''}{outside_project_hint()}") from None
+            raise InputError(f"{error}{EVIDENCE_HINT if group == 'study' else ''}{no_project_hint()}") from None
 
 
-def outside_project_hint() -> str:
+def no_project_hint() -> str:
     """Return the end of an error message about an unknown choice: that no project was found; empty inside a project."""
     return (
         ""
@@ -63,7 +63,7 @@ def _refuse_bare_words(overrides: list[str]) -> None:
         fits = [group for group in GROUPS if word in {**shipped_choices(group), **project.project_files(group)}]
         if fits:
             raise InputError(f"{word} is not allowed: did you mean {' or '.join(f'{group}={word}' for group in fits)}?")
-        raise InputError(f"{word} cannot be read: group=choice or group.name=value{outside_project_hint()}")
+        raise InputError(f"{word} cannot be read: group=choice or group.name=value{no_project_hint()}")
 
 
 def _classes(module: Path) -> dict[str, str]:

@@ -25,7 +25,7 @@ from sweep.core.progress import (
     show_elapsed_time,
 )
 from sweep.report import tables
-from sweep.report.headline import headline
+from sweep.report.headline import study_headline
 from sweep.runs import adaptive_rounds, axis_check, axis_effects, refine, runner, store, time_series
 from sweep.runs.batches import make_engine
 from sweep.runs.batches import make_nominal_batch as nominal_batch
@@ -96,7 +96,7 @@ def execute_experiment(exp: Experiment, flags: RunFlags) -> int:
         with show_elapsed_time("tracing which axes enter the simulation"):
             ineffective = axis_effects.describe_unread_axes(exp, points)
         unsearched = describe_unsearched_values(exp, first)
-        print("\n".join([describe_dry_run(job), *unsearched, *ineffective, *map(str, failing_levels(exp))]))
+        print("\n".join([describe_dry_run(job), *unsearched, *ineffective, *map(str, list_failing_levels(exp))]))
         return DONE
     if flags.check:
         return check_axes(exp, first)
@@ -114,10 +114,10 @@ def execute_experiment(exp: Experiment, flags: RunFlags) -> int:
             say(line)
         failing = None
         for job in to_do:
-            todo = len(job.rows(job.missing()))
+            todo = len(job.points_of_batches(job.missing_batches()))
             if todo and failing is None:
-                failing = failing_levels(exp)
-            with report_progress(exp.study.name, todo, program_text(exp), watched) as report:
+                failing = list_failing_levels(exp)
+            with report_progress(exp.study.name, todo, describe_compiled_program(exp), watched) as report:
                 job = runner.run_job(job, report, dispatch)
             done += todo
         seconds = time.perf_counter() - start
@@ -180,7 +180,7 @@ def record_study_replays(exp: Experiment, folder: Path, rows: pd.DataFrame) -> N
         print(f"{number} replays recorded in {time.perf_counter() - start:.1f} s (study.replays)", file=sys.stderr)
 
 
-def failing_levels(exp: Experiment) -> list[FailingLevel]:
+def list_failing_levels(exp: Experiment) -> list[FailingLevel]:
     """List named levels that fail at the nominal point, with a progress line during their simulation."""
     with show_elapsed_time(f"simulating the nominal rollout of each name that {exp.study.name} lists"):
         return find_failing_levels(exp)
@@ -222,9 +222,12 @@ def execute_single(exp: Experiment, flags: RunFlags) -> int:
     check_expect(exp.study, exp.system)
     if flags.dry_run:
         runner.prepare_single_batch(exp)
-        print(f"{exp.scenario}: 1 rollout on {exp.settings.name}, {format_compile_estimate(program_text(exp))}")
+        print(
+            f"{exp.scenario}: 1 rollout on {exp.settings.name}, "
+            f"{format_compile_estimate(describe_compiled_program(exp))}"
+        )
         return DONE
-    what, start = program_text(exp), time.perf_counter()
+    what, start = describe_compiled_program(exp), time.perf_counter()
 
     def words() -> str:
         return f"compiling {what}, then simulating{format_last_duration(what)}{format_running_parts(what)}"
@@ -233,7 +236,7 @@ def execute_single(exp: Experiment, flags: RunFlags) -> int:
         rows = runner.run_single_batch(exp)
     remember_duration(what, time.perf_counter() - start)
     sys.stdout.write(tables.rollout_table(exp, rows.iloc[0]))
-    if exp.study.expect and exp.settings.name == "native" and (other := jitter_experiment(exp)):
+    if exp.study.expect and exp.settings.name == "native" and (other := experiment_with_small_jitter(exp)):
         with show_elapsed_time(
             f"simulating {exp.scenario} {other.study.max_rollouts} times to judge its expectations on the native engine"
         ):
@@ -242,7 +245,7 @@ def execute_single(exp: Experiment, flags: RunFlags) -> int:
     return expectation_exit_code(exp, rows, complete=True)
 
 
-def jitter_experiment(exp: Experiment) -> Experiment | None:
+def experiment_with_small_jitter(exp: Experiment) -> Experiment | None:
     """The scenario with the jitter study's axes and its own expectations; None for another system."""
     values = compose_values(JITTER_STUDY)
     if find_kind_by_keys(values) is not find_kind_by_keys(exp.values):
@@ -278,7 +281,7 @@ def expectation_exit_code(exp: Experiment, rows: pd.DataFrame, complete: bool) -
 def summarize_study(exp: Experiment, rows: pd.DataFrame) -> str:
     """Summarise a study as text: headline, causes, and success rates by named parameter; copies count once."""
     rows, copies = drop_repeated_rollouts(rows, exp)
-    lines = [f"{exp.study.name}: {headline(rows, exp)}"]
+    lines = [f"{exp.study.name}: {study_headline(rows, exp)}"]
     lines += [f"  {line}" for line in cause_lines(rows["cause"], exp.system.cause_meanings(exp.thresholds))]
     lines += [f"  {copies}"] if copies else []
     for column in parameter_columns(rows):
@@ -289,14 +292,14 @@ def summarize_study(exp: Experiment, rows: pd.DataFrame) -> str:
 
 def describe_dry_run(job: runner.Job) -> str:
     """Describe what a run would do: rollouts, batches, memory, and the time if an earlier batch is known."""
-    missing = job.rows(job.missing())
+    missing = job.points_of_batches(job.missing_batches())
     first_rows = ~missing["batch"].duplicated().to_numpy()  # of each batch
     sizes = missing.loc[first_rows, ["group", "width"]].groupby(["group", "width"]).size()
     parts = [f"{count} batch{'es' * (count > 1)} of {width}" for (_, width), count in sizes.items()]  # pyright: ignore[reportGeneralTypeIssues]
     text = f"{job.exp.study.name}: {len(missing)} of {len(job.table)} rollouts to run ({', '.join(parts) or 'none'})"
     if len(missing):
-        text += f"{memory_text(job, missing)}, {duration_text(job, missing)}, "
-        text += format_compile_estimate(program_text(job.exp))
+        text += f"{describe_memory_per_rollout(job, missing)}, {describe_expected_duration(job, missing)}, "
+        text += format_compile_estimate(describe_compiled_program(job.exp))
     if count := time_series.check_history_size(job.exp, job.table):
         kept, columns = min(job.exp.study.keep_rows, len(job.table)), ", ".join(job.exp.study.keep)
         text += f"\ntime series of {kept} rollouts ({columns}): about {4 * count / 2**20:.1f} MiB before compression"
@@ -305,14 +308,14 @@ def describe_dry_run(job: runner.Job) -> str:
     return f"{text}\n{axes_table(job.exp)}" if job.exp.study.axes and not job.exp.study.points else text
 
 
-def memory_text(job: runner.Job, missing: pd.DataFrame) -> str:
+def describe_memory_per_rollout(job: runner.Job, missing: pd.DataFrame) -> str:
     """Memory that a rollout of the first group needs, as text."""
     start = nominal_batch(job.exp, missing.iloc[:1], int(missing["width"].iloc[0]))
     size = make_engine(job.exp, start).rollout_bytes()
     return f", {size / 1024:.1f} KiB of memory per rollout" if size else ""
 
 
-def duration_text(job: runner.Job, missing: pd.DataFrame) -> str:
+def describe_expected_duration(job: runner.Job, missing: pd.DataFrame) -> str:
     """Estimated time of the `missing` rollouts as text, from the last batch of this or a similar study."""
     beside = sorted(job.folder.parent.glob(f"*/{store.STUDY_FILE}"), key=lambda p: p.stat().st_mtime, reverse=True)
     for folder in (job.folder, *(path.parent for path in beside)):
@@ -350,7 +353,7 @@ def axes_table(exp: Experiment) -> str:
     return table.to_markdown(index=False, disable_numparse=True)
 
 
-def program_text(exp: Experiment) -> str:
+def describe_compiled_program(exp: Experiment) -> str:
     """Description of the program that is compiled before the first batch."""
     kind = exp.settings.name if exp.study.single else f"batches of {exp.study.name} on {exp.settings.name}"
     return f"{exp.scenario} for {kind}"

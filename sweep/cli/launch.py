@@ -40,7 +40,7 @@ def launch_hydra(overrides: list[str], work: Callable[[Experiment], int], run_fl
     )
     def job(composed: DictConfig) -> None:
         try:
-            codes.append(work(experiment.build_experiment(experiment.resolve(composed))))
+            codes.append(work(experiment.build_experiment(experiment.resolve_interpolations(composed))))
         # Hydra would add lines of its own, and give up a multirun's other jobs
         except Fault as error:
             print(f"sweep: {error}", file=sys.stderr)

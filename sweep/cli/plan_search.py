@@ -21,7 +21,7 @@ from sweep.backends import devices
 from sweep.cli.execution import RunFlags, execute_experiment
 from sweep.cli.exits import DONE, UNEXPECTED
 from sweep.config.experiment import Experiment, compose
-from sweep.contract.system import split_side
+from sweep.contract.system import split_side_prefix
 from sweep.core.errors import InputError
 from sweep.core.files import write_atomically
 from sweep.core.provenance import search_version
@@ -58,22 +58,24 @@ def tune_plan(args: argparse.Namespace) -> int:
         raise InputError(f"manoeuvre.kind = {case.manoeuvre.kind} has no plan file")
     if not args.check and where.suffix != ".yaml":
         raise InputError(f"out = {exp.out or ''} is not allowed: the file of the plan, such as plans/mine.yaml")
-    numbers, own = plan_table.plan_values(case), manoeuvre_numbers(case)
+    numbers, own = plan_table.plan_values(case), tunable_manoeuvre_parameters(case)
     patterns = args.free or ["*"]
     beside = [text for text in patterns if text.startswith(f"{MANOEUVRE}.")]
-    steps = tuning.free_numbers(
+    steps = tuning.parse_free_numbers(
         numbers, [text for text in patterns if text not in beside], plan_table.formula_values(case)
     )
-    steps |= tuning.free_numbers(own, beside)
+    steps |= tuning.parse_free_numbers(own, beside)
     numbers |= own
     if args.follow and beside:
         raise InputError(
             f"--free = {beside[0]} is not allowed with --follow: only numbers of the plan can depend on sizes"
         )
-    sizes = drawn_sizes(exp) if args.follow else {}
+    sizes = nominal_drawn_sizes(exp) if args.follow else {}
     method = "linear programs, to follow sizes" if args.follow else "gradients" if args.gradients else "CMA-ES"
-    aims, width = [parse_aim(text) for text in args.need], args.population if method == "CMA-ES" else 1
-    score = Score(case, list(steps), aims, args.stages or ["*"], parse_moments(args.moments), args.forces, width)
+    aims, width = [parse_margin_aim(text) for text in args.need], args.population if method == "CMA-ES" else 1
+    score = Score(
+        case, list(steps), aims, args.stages or ["*"], parse_moments_per_stage(args.moments), args.forces, width
+    )
     seen, others = (with_draw_axis(*tuning.draw_beliefs(exp, exp.study.seed + k)) for k in (0, 1))
     first = np.array([numbers[path] for path in steps])
     if args.check:
@@ -92,7 +94,7 @@ def tune_plan(args: argparse.Namespace) -> int:
     where.parent.mkdir(parents=True, exist_ok=True)
     log = where.with_name(f"{where.name}.log")
     tuning.resume_log(log, how)  # refuses before what is slow
-    best, slopes = round_solution(score, seen, first, sizes, how, log)
+    best, slopes = search_and_round(score, seen, first, sizes, how, log)
     after = {name: best + relative_changes(draws, sizes) @ slopes.T
              for name, draws in zip(DRAW_LABELS, (seen, others), strict=True)}  # fmt: skip
     left = {f"{name} {when}": score.margins(at, draws)
@@ -100,7 +102,8 @@ def tune_plan(args: argparse.Namespace) -> int:
             for when, at in (("before", first), ("after", after[name]))}  # fmt: skip
     ends = (left[f"{DRAW_LABELS[0]} {when}"] for when in ("before", "after"))
     was, now = (
-        float(tuning.draw_cost(score.deficits(x)).mean() if args.follow else score.worst_draw_score(x)) for x in ends
+        float(tuning.cost_of_draws(score.deficits(x)).mean() if args.follow else score.worst_draw_score(x))
+        for x in ends
     )
     told = margins_table(score, left)
     print(f"score {was:.4g} before, {now:.4g} after\n{told}")
@@ -113,26 +116,28 @@ def tune_plan(args: argparse.Namespace) -> int:
     found = dict(zip(steps, best.tolist(), strict=True))
     settings = [f"{path}={found.pop(path):g}" for path in own if path in found]
     head += ["to be run with " + " ".join(settings)] if settings else []
-    content = add_slopes(plan_content(case, found), steps, slopes, sizes)
+    content = add_size_slopes(tuned_plan_content(case, found), steps, slopes, sizes)
     searched = {COMMAND: f"sweep tune {shlex.join(args.words)}", RANGES: searched_ranges(exp)}
     content = {SEARCHED: searched, **content}
-    write_atomically(where, plan_file(case, content, head).encode())
+    write_atomically(where, format_plan_file(case, content, head).encode())
     if settings:
         print(head[-1])
     if args.simulate:
         lines = [compare_plans(overrides, where, settings, seed) for seed in (exp.study.seed, exp.study.seed + 1)]
         print("\n".join(lines))
-        write_atomically(where, plan_file(case, content, [*head, *lines]).encode())
+        write_atomically(where, format_plan_file(case, content, [*head, *lines]).encode())
     print(where)
     return DONE
 
 
-def drawn_sizes(exp: Experiment) -> dict[str, float]:
+def nominal_drawn_sizes(exp: Experiment) -> dict[str, float]:
     """Sizes of robot and obstacle that the study draws, at their nominal values.
 
     Numbers follow relative changes, so sizes of zero are left out. Raises `InputError` where no size is drawn.
     """
-    told = {split_side(column)[1] for column in parameter_columns(make_points(exp.study, exp.system, exp.settings))}
+    told = {
+        split_side_prefix(column)[1] for column in parameter_columns(make_points(exp.study, exp.system, exp.settings))
+    }
     at = plan_table.plan_content(exp.case).get(SLOPES, {}).get(plan_table.AT, {})
     drawn = [path for path in sorted(told) if path.partition(".")[0] in plan_table.SIZED]
     found = {path: size for path in drawn if (size := at.get(path, float(plan_table.parameter_value(exp.case, path))))}
@@ -146,7 +151,7 @@ def searched_ranges(exp: Experiment) -> dict[str, list[float]]:
     """Return the least and the largest value of each size of robot and obstacle in the draws of a search, by path."""
     points = make_points(exp.study, exp.system, exp.settings)
     columns = {
-        split_side(column)[1]: points[column]
+        split_side_prefix(column)[1]: points[column]
         for column in parameter_columns(points)
         if points[column].dtype.kind == "f"
     }
@@ -164,7 +169,7 @@ def select_influential_sizes(
     """
     off = relative_changes(draws, sizes)
     alone = 1 + np.vstack([np.diag(np.abs(off).max(axis=0)), np.zeros((max(1, len(off) - len(sizes)), len(sizes)))])
-    tried = exp.system.make_sides({path: at * alone[:, k] for k, (path, at) in enumerate(sizes.items())})[1]
+    tried = exp.system.make_world_and_belief({path: at * alone[:, k] for k, (path, at) in enumerate(sizes.items())})[1]
     lack = np.asarray(score.deficits(score.margins(numbers, with_draw_axis(tried, len(alone)))))
     moved = ~np.isclose(lack, lack[-1], 0.0, EQUAL_DEFICIT, equal_nan=True).all(axis=1)
     if not (found := {path: at for (path, at), feels in zip(sizes.items(), moved, strict=False) if feels}):
@@ -172,7 +177,7 @@ def select_influential_sizes(
     return found
 
 
-def round_solution(
+def search_and_round(
     score: Score, draws: Case, first: np.ndarray, sizes: Mapping[str, float], how: Mapping[str, Any], log: Path
 ) -> tuple[np.ndarray, np.ndarray]:
     """Search with a progress bar; return rounded numbers (n,), and the slopes (n, k) by which they follow sizes."""
@@ -225,7 +230,7 @@ def compare_plans(overrides: list[str], file: Path, settings: list[str], seed: i
     return f"simulated draws of seed {seed} that succeed: {before} before, {after} after"
 
 
-def parse_aim(text: str) -> Aim:
+def parse_margin_aim(text: str) -> Aim:
     """Parse `MARGIN[@STAGES]=VALUE`. Raises `InputError`."""
     name, _, value = text.partition("=")
     margin, _, pattern = name.partition("@")
@@ -237,7 +242,7 @@ def parse_aim(text: str) -> Aim:
     raise InputError(f"--need = {text} is not allowed: MARGIN=VALUE or MARGIN@STAGES=VALUE, a number")
 
 
-def parse_moments(texts: Iterable[str]) -> list[tuple[str, int]]:
+def parse_moments_per_stage(texts: Iterable[str]) -> list[tuple[str, int]]:
     """Parse patterns of stages with the number of moments to evaluate in each; the last match counts.
 
     Raises `InputError`.
@@ -251,7 +256,7 @@ def parse_moments(texts: Iterable[str]) -> list[tuple[str, int]]:
     return found
 
 
-def manoeuvre_numbers(case: Case) -> dict[str, float]:
+def tunable_manoeuvre_parameters(case: Case) -> dict[str, float]:
     """Numeric parameters of the manoeuvre by path, which can be tuned along with those of its plan."""
     found = {f.name: getattr(case.manoeuvre, f.name) for f in dataclasses.fields(case.manoeuvre)  # pyright: ignore[reportArgumentType]
              if f.metadata.get("role") == "quantity"}  # fmt: skip
@@ -267,7 +272,7 @@ def margins_table(score: Score, margins: Mapping[str, Mapping[str, np.ndarray]])
     return shown.rename_axis("margin").to_markdown(floatfmt=".4g")
 
 
-def plan_content(case: Case, changes: Mapping[str, float]) -> Content:
+def tuned_plan_content(case: Case, changes: Mapping[str, float]) -> Content:
     """Content of the plan's file with tuned numbers; formulas whose value did not change stay."""
     formulas = plan_table.formula_values(case)
     for path, value in changes.items():
@@ -276,7 +281,7 @@ def plan_content(case: Case, changes: Mapping[str, float]) -> Content:
     return plan_table.plan_content(case)
 
 
-def add_slopes(content: Content, paths: Iterable[str], slopes: np.ndarray, sizes: Mapping[str, float]) -> Content:
+def add_size_slopes(content: Content, paths: Iterable[str], slopes: np.ndarray, sizes: Mapping[str, float]) -> Content:
     """Add slopes to a plan's content: how much the number at each path changes for a unit of each size."""
     if not sizes:
         return content
@@ -292,7 +297,7 @@ def add_slopes(content: Content, paths: Iterable[str], slopes: np.ndarray, sizes
     return {**content, SLOPES: part}
 
 
-def plan_file(case: Case, content: Content, head: list[str]) -> str:
+def format_plan_file(case: Case, content: Content, head: list[str]) -> str:
     """Text of a plan's file: comments, then its differences to the manoeuvre's own plan."""
     said = plan_table.find_overrides(plan_table.default_plan_content(case), content)
     own = case.manoeuvre.default_plan_name

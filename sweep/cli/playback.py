@@ -10,7 +10,7 @@ import pandas as pd
 
 from sweep.config.experiment import Experiment, compose
 from sweep.contract.engine import Trace
-from sweep.contract.trace_frames import finite_frames
+from sweep.contract.trace_frames import count_finite_frames
 from sweep.core import provenance
 from sweep.core.errors import InputError
 from sweep.core.progress import show_elapsed_time
@@ -26,7 +26,7 @@ def play_in_viewer(trace: Trace) -> None:
     """Play the trace in MuJoCo's viewer in a loop until its window is closed."""
     import mujoco.viewer
 
-    data, frames = mujoco.MjData(trace.model), finite_frames(trace)
+    data, frames = mujoco.MjData(trace.model), count_finite_frames(trace)
     with mujoco.viewer.launch_passive(trace.model, data) as window:
         while window.is_running():
             start = time.perf_counter()
@@ -48,20 +48,20 @@ def file_names(folder: str) -> list[str]:
 def record_traces(target: list[str]) -> Iterator[Trace]:
     """Record the rollout that the user names, at a frame rate for smooth playback. Raises `InputError`."""
     if store.STUDY_FILE in file_names(target[0]):
-        found, at = find_row(*folder_and_point(target))
+        found, at = find_row(*parse_folder_and_point(target))
         device_choice.choose_device_for_folder(found.folder)
         again = replays.simulate_again(
             found.exp, found.rows.iloc[[at]], store.read_points(found.folder), VIEWER_FRAME_RATE
         )
     else:
-        exp, planned = compose_single(target)
+        exp, planned = compose_single_rollout(target)
         again = replays.simulate_again(exp, planned, planned, VIEWER_FRAME_RATE)
     return (trace for _, trace, _ in again)
 
 
 def open_study(target: list[str], beside: list[str]) -> tuple[Results, list[ShownReplay]]:
     """Read a study's results and replays, those that the user names first. Raises `InputError`."""
-    folder, point = folder_and_point(target)
+    folder, point = parse_folder_and_point(target)
     found, first = find_row(folder, point)
     wanted = [(found, first, "")]
     if beside:
@@ -84,7 +84,7 @@ def open_study(target: list[str], beside: list[str]) -> tuple[Results, list[Show
     return found, [*shown, *(one for one in read_shown_replays(found) if one.row["point_id"] not in seen)]
 
 
-def folder_and_point(target: list[str]) -> tuple[str, str]:
+def parse_folder_and_point(target: list[str]) -> tuple[str, str]:
     """Parse the two arguments folder and point. Raises `InputError` if there are not two."""
     if len(target) != 2:
         raise InputError(f"{target[0]} is a study: add a row number, or the beginning of a point_id")
@@ -103,7 +103,7 @@ def simulate_configuration(overrides: list[str], beside: list[str]) -> tuple[Res
     rows, shown = [], []
     exp, stages = None, {}
     for words in [overrides, [*overrides, *beside]][: 1 + bool(beside)]:
-        one, planned = compose_single(words)
+        one, planned = compose_single_rollout(words)
         exp = exp or one
         with show_elapsed_time(f"simulating {' '.join(words)}"):
             found = next(replays.simulate_again(one, planned, planned), None)
@@ -135,7 +135,7 @@ def simulate_configuration(overrides: list[str], beside: list[str]) -> tuple[Res
     return Results(Path(exp.scenario), about, exp, table, None, len(rows)), shown
 
 
-def compose_single(overrides: list[str]) -> tuple[Experiment, pd.DataFrame]:
+def compose_single_rollout(overrides: list[str]) -> tuple[Experiment, pd.DataFrame]:
     """Compose the experiment of a single rollout and its one-row table of points. Raises `InputError` for a study."""
     exp = compose(overrides)
     if not exp.study.single:

@@ -16,7 +16,7 @@ from sweep.analysis.stats import format_percent
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.core.plot_style import COLUMN_WIDTH_IN, new_figure, save_figure
-from sweep.report.tables import page_table
+from sweep.report.tables import markdown_table
 from sweep.runs import results, store
 
 TABLE_FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)  # of the answer: sizes of the table
@@ -226,7 +226,7 @@ def answer_pilot_difference(
     args: argparse.Namespace, exp: Experiment, pairs: pd.DataFrame, seconds: float | None
 ) -> SizeAnswer:
     """Answer how many units of two pilots' design tell which is better, if their difference is the true one."""
-    unit = compare.independent_unit_of_pairs(pairs, exp)
+    unit = compare.unit_numbers_of_pairs(pairs, exp)
     if unit is None:
         raise refuse_chosen_points(args.pilot[0])
     first, second = pairs["outcome"], pairs[f"outcome{compare.SECOND_RUN_MARK}"]
@@ -264,7 +264,7 @@ def format_answer(answer: SizeAnswer) -> str:
         f"{answer.rollouts:,} rollouts: {answer.question}",
         f"({answer.method})",
         "",
-        page_table(shown),
+        markdown_table(shown),
         *(["", *answer.notes] if answer.notes else []),
         "",
         duration_text(answer),

@@ -43,7 +43,7 @@ from sweep.study import design_kinds, designs
 from sweep.study.clusters import Cluster
 from sweep.study.columns import LABEL_COLUMNS, PLACEMENT_COLUMNS, TIMING_COLUMNS
 from sweep.study.designs import rename_on_to_side
-from sweep.study.distributions import require_keys
+from sweep.study.distributions import require_known_keys
 from sweep.study.study import ScenarioSchema, Study, StudySchema, check_keep, expand_keep
 
 NON_FINITE_WORD = re.compile(r"(?<=[=\[:, ])[-+]?\.(nan|inf)(?=[\]}, ]|$)", re.IGNORECASE)  # of YAML, to Hydra a word
@@ -161,7 +161,7 @@ def compose_values(overrides: list[str]) -> dict[str, Any]:
     try:
         check_overrides(overrides)
         with hydra.initialize_config_module(CONFIG_MODULE, version_base=HYDRA_VERSION):
-            return resolve(hydra.compose(primary_config(overrides), overrides))
+            return resolve_interpolations(hydra.compose(primary_config(overrides), overrides))
     except (HydraException, OmegaConfBaseException, OverflowError, RecursionError) as error:
         raise InputError(format_error(error, overrides)) from None
 
@@ -191,7 +191,7 @@ def check_overrides(overrides: list[str]) -> None:
             raise InputError(f"{one.input_line} is not allowed: the name of a choice (`sweep list` shows them)")
 
 
-def resolve(config: DictConfig) -> dict[str, Any]:
+def resolve_interpolations(config: DictConfig) -> dict[str, Any]:
     """Resolve the interpolations of a composed configuration.
 
     Args:
@@ -260,8 +260,8 @@ def build_experiment(values: Mapping[str, Any]) -> Experiment:
     if taken := {*PLACEMENT_COLUMNS, *LABEL_COLUMNS, *TIMING_COLUMNS} & {*system.metric_names}:
         raise InputError(f"a metric called {min(taken)} is not allowed: all rows have a column of this name")
     cluster = build_by_kind(CLASSES_BY_KIND["cluster"], values["cluster"], "cluster")
-    scenario = require_keys("scenario", values["scenario"], _names(ScenarioSchema))
-    asked = require_keys("study", values["study"], _names(StudySchema))
+    scenario = require_known_keys("scenario", values["scenario"], _names(ScenarioSchema))
+    asked = require_known_keys("study", values["study"], _names(StudySchema))
     chosen = {**dataclasses.asdict(StudySchema()), **asked}  # rows of before a key was there had its default
     single = not (chosen["name"] or chosen["axes"] or chosen["points"] or chosen["replicates"] != 1)
     if single:

@@ -79,9 +79,9 @@ class GroupFileSource(ConfigSource):
             refuse_extends_cycle(other, file, choice, (file,))
         if "defaults" not in content:
             content = (
-                global_fragment(group, file, content)
+                translate_study_or_scenario(group, file, content)
                 if GROUPS[group].is_global
-                else group_fragment(group, file, content)
+                else translate_group_file(group, file, content)
             )
         return ConfigResult(self.provider, self.full_path(), OmegaConf.create(content), header)
 
@@ -187,7 +187,7 @@ def read_config_file(file: Any, quotes_words: bool = False) -> dict[str, Any]:
     return OmegaConf.to_container(content, resolve=False)  # pyright: ignore[reportReturnType]
 
 
-def global_fragment(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:
+def translate_study_or_scenario(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:
     """Translate a study or scenario to Hydra's syntax: the file it extends, its choices, then its values.
 
     Args:
@@ -201,7 +201,7 @@ def global_fragment(group: str, file: Any, content: Mapping[str, Any]) -> dict[s
     Raises:
         InputError: A choice is unknown, or a group has something else than a name or keys.
     """
-    defaults, values = extended_defaults(group, file, content), {}
+    defaults, values = defaults_of_extended_files(group, file, content), {}
     for key, value in content.items():
         if key in GROUPS and not isinstance(value, str | Mapping | None):
             raise InputError(f"{file}: {key} = {value!r} is not allowed: the name of a choice, or keys and values")
@@ -241,7 +241,7 @@ def find_system_name(chosen: Mapping[str, str]) -> str:
     return DEFAULT_SYSTEM
 
 
-def group_fragment(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:
+def translate_group_file(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:
     """Translate parameters of a group to Hydra's syntax, after the file they extend or the defaults of their class.
 
     Args:
@@ -259,11 +259,13 @@ def group_fragment(group: str, file: Any, content: Mapping[str, Any]) -> dict[st
     if "extends" not in content and GROUPS[group].has_kinds and kind not in _kinds(group):
         problem = "kind is missing" if kind is None else f"kind = {kind} is unknown"
         raise InputError(f"{file}: {group}.{problem}{suggest(str(kind or ''), _kinds(group))}")
-    start = extended_defaults(group, file, content) or ([] if free else [f"/{group}/{kind or group}_schema@_here_"])
+    start = defaults_of_extended_files(group, file, content) or (
+        [] if free else [f"/{group}/{kind or group}_schema@_here_"]
+    )
     return {"defaults": [*start, "_self_"], **{k: v for k, v in content.items() if k != "extends"}}
 
 
-def extended_defaults(group: str, file: Any, content: Mapping[str, Any]) -> list[Any]:
+def defaults_of_extended_files(group: str, file: Any, content: Mapping[str, Any]) -> list[Any]:
     """Return the files that a file extends, as entries of Hydra's list of defaults. Raises `InputError`."""
     names = [require_choice_of_group(file, group, name) for name in extended_names(group, content)]
     return [f"/{group}/{name}@{'_global_' if GROUPS[group].is_global else '_here_'}" for name in names]

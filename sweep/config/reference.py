@@ -64,9 +64,9 @@ def describe_name(name: str) -> str:
     if group in every:
         kinds = [kind_name(cls) for cls in every[group]]
         if kind and not any(kinds):
-            raise InputError(f"{name} is unknown{suggest(kind, file_names(group))}")
+            raise InputError(f"{name} is unknown{suggest(kind, group_file_names(group))}")
         if kind:
-            require_choice(kind, [*kinds, *file_names(group)], f"{group} = {kind}")
+            require_choice(kind, [*kinds, *group_file_names(group)], f"{group} = {kind}")
         return "\n\n".join(format_class(group, cls) for cls in every[group] if kind in ("", kind_name(cls)))
     group, _, key = name.partition(".")
     if group not in every:
@@ -87,7 +87,7 @@ def column_meanings() -> dict[str, str]:
     return {**COLUMN_MEANINGS, **systems.describe_columns()}
 
 
-def file_names(group: str) -> list[str]:
+def group_file_names(group: str) -> list[str]:
     """List the names of a group's files, shipped ones and the project's own."""
     return [*project.shipped_files(group), *project.project_files(group)]
 

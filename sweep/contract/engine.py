@@ -59,7 +59,7 @@ class Trace:
     time: np.ndarray  # (F,)
     qpos: np.ndarray  # (F, nq)
     qvel: np.ndarray  # (F, nv)
-    joint_target: np.ndarray  # (F, J) of the `single_joints`; of a user's model its controls
+    joint_target: np.ndarray  # (F, J) of the `hinge_and_slide_joints`; of a user's model its controls
     joint_torque: np.ndarray  # (F, J), peak of the tick
     foot_position: np.ndarray  # (F, N, 3); N = 0 for models without known feet
     foot_target: np.ndarray  # (F, N, 3), as planned
@@ -81,7 +81,7 @@ class MissingTrace(NamedTuple):
     reason: str
 
 
-def single_joints(model: "mujoco.MjModel") -> np.ndarray:
+def hinge_and_slide_joints(model: "mujoco.MjModel") -> np.ndarray:
     """Indices of the hinge and slide joints of a model, in the model's order (for a legged robot leg by leg)."""
     return np.flatnonzero(model.jnt_type >= SLIDE_JOINT)
 

@@ -42,6 +42,6 @@ class EngineSettings:
         return self.native_time_step if self.name == "native" else self.time_step
 
     @property
-    def fusible(self) -> bool:
+    def is_fusible(self) -> bool:
         """Whether the fused compiler may compile the closed loop; it has rules for this package's own dynamics only."""
         return self.compiler != "xla" and self.dynamics != "mjx"

@@ -90,7 +90,7 @@ class System(Protocol):
         """Plots of a trace over time, by name."""
         ...
 
-    def state_columns(self, trace: Trace) -> Mapping[str, np.ndarray]:
+    def state_values_by_column(self, trace: Trace) -> Mapping[str, np.ndarray]:
         """Return the numbers (F,) of a trace's states by column, for systems that support `replay --states`."""
         ...
 
@@ -137,7 +137,7 @@ class System(Protocol):
         """
         ...
 
-    def default_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
+    def inputs_left_out_of_point_ids(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """Yield the inputs and values that do not count for point ids, because earlier versions did not have them.
 
         Args:
@@ -161,7 +161,7 @@ class System(Protocol):
         """Yield a line for each parameter of a points table outside the values that its controller was made for."""
         ...
 
-    def make_sides(self, values: ColumnValues) -> tuple[Any, Any]:
+    def make_world_and_belief(self, values: ColumnValues) -> tuple[Any, Any]:
         """Make world and belief from values by column: values of both sides first, then those of one side.
 
         Args:
@@ -172,7 +172,7 @@ class System(Protocol):
         """
         ...
 
-    def with_delay_buffer(self, table: "pd.DataFrame") -> Self:
+    def allocate_delay_buffers(self, table: "pd.DataFrame") -> Self:
         """Return this system with buffers that hold the longest delay in a points table, none shorter than before."""
         ...
 
@@ -190,7 +190,7 @@ class System(Protocol):
         """
         ...
 
-    def cpu_threshold(self, settings: EngineSettings) -> int:
+    def max_rollouts_for_cpu(self, settings: EngineSettings) -> int:
         """Return the number of rollouts that a CPU finishes before a GPU has started; 0 if unknown."""
         ...
 
@@ -228,7 +228,7 @@ class System(Protocol):
         ...
 
 
-class Nominal(NamedTuple):
+class SystemSetup(NamedTuple):
     """A system with engine settings and thresholds, built from a configuration."""
 
     system: System
@@ -237,7 +237,7 @@ class Nominal(NamedTuple):
     derived_values: Mapping[str, Any] = {}  # values that the configuration is to say from now on
 
 
-def split_side(column: str) -> tuple[str, str]:
+def split_side_prefix(column: str) -> tuple[str, str]:
     """Split a column into side and path: `world.contact.friction` into `world` and `contact.friction`.
 
     A column without a side belongs to `both`.
@@ -248,7 +248,9 @@ def split_side(column: str) -> tuple[str, str]:
 
 def split_world_and_belief(values: ColumnValues) -> dict[str, dict[str, Any]]:
     """Return the values of each side by path. Values of both sides come first; engine settings are left out."""
-    placed = [(*split_side(column), value) for column, value in values.items() if not column.startswith("engine.")]
+    placed = [
+        (*split_side_prefix(column), value) for column, value in values.items() if not column.startswith("engine.")
+    ]
     return {
         side: {path: value for here in ("both", side) for on, path, value in placed if on == here} for side in SIDES
     }

@@ -3,12 +3,12 @@
 import mujoco
 import numpy as np
 
-from sweep.contract.engine import Trace, single_joints
+from sweep.contract.engine import Trace, hinge_and_slide_joints
 
 BASE_BODY = "base"  # name of the robot's trunk in its model
 
 
-def finite_frames(trace: Trace) -> int:
+def count_finite_frames(trace: Trace) -> int:
     """Return the number of frames before the simulation diverged. Raises `ValueError` if it is 0."""
     bad = ~np.isfinite(trace.qpos).all(axis=1)
     count = int(np.argmax(bad)) if bad.any() else len(bad)
@@ -27,7 +27,7 @@ def frames_at_times(trace: Trace, times: np.ndarray) -> np.ndarray:
     Returns:
         Indices (N,) of the frames.
     """
-    clock = trace.time[: finite_frames(trace)]
+    clock = trace.time[: count_finite_frames(trace)]
     after = np.clip(np.searchsorted(clock, times), 1, max(len(clock) - 1, 1))
     nearest = np.where(np.abs(times - clock[after - 1]) <= np.abs(clock[after % len(clock)] - times), after - 1, after)
     return np.minimum(nearest, len(clock) - 1)
@@ -43,7 +43,7 @@ def frames_at_rate(trace: Trace, rate: float) -> np.ndarray:
     Returns:
         Indices of the chosen finite frames, in order; all of them where the trace has fewer.
     """
-    start, end = trace.time[0], trace.time[finite_frames(trace) - 1]
+    start, end = trace.time[0], trace.time[count_finite_frames(trace) - 1]
     return np.unique(frames_at_times(trace, start + np.arange(int((end - start) * rate + 1e-6) + 1) / rate))
 
 
@@ -72,18 +72,18 @@ def base_pose(trace: Trace) -> np.ndarray:
 
 
 def joint_positions(trace: Trace) -> np.ndarray:
-    """Return positions (F, J) of the `single_joints`, rad or m; of the hexapod by legs, each alpha, beta, gamma."""
-    return trace.qpos[:, trace.model.jnt_qposadr[single_joints(trace.model)]]
+    """Return the positions (F, J) of hinge and slide joints (rad or m); hexapod: alpha, beta, gamma, leg by leg."""
+    return trace.qpos[:, trace.model.jnt_qposadr[hinge_and_slide_joints(trace.model)]]
 
 
 def joint_rates(trace: Trace) -> np.ndarray:
-    """Return rates (F, J) of the `single_joints`, rad/s or m/s."""
-    return trace.qvel[:, trace.model.jnt_dofadr[single_joints(trace.model)]]
+    """Return rates (F, J) of the `hinge_and_slide_joints`, rad/s or m/s."""
+    return trace.qvel[:, trace.model.jnt_dofadr[hinge_and_slide_joints(trace.model)]]
 
 
 def joint_names(model: mujoco.MjModel) -> list[str]:
-    """Return the names of the `single_joints`."""
-    return [model.joint(joint).name or f"joint_{joint}" for joint in single_joints(model)]
+    """Return the names of the `hinge_and_slide_joints`."""
+    return [model.joint(joint).name or f"joint_{joint}" for joint in hinge_and_slide_joints(model)]
 
 
 def mass_centres(trace: Trace, frames: slice) -> np.ndarray:

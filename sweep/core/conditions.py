@@ -9,7 +9,7 @@ import numpy as np
 
 from sweep.core.errors import InputError, require_choice
 from sweep.core.expressions import evaluate_condition, evaluate_expression
-from sweep.core.outcomes import FAILURE, GOAL_MISSED, INVALID, SUCCESS, ColumnArrays, JudgedCause
+from sweep.core.outcomes import FAILURE, GOAL_MISSED, INVALID, SUCCESS, CauseVerdicts, ColumnArrays
 
 GOAL, UNTRUSTED = "goal", "untrusted"
 
@@ -26,13 +26,13 @@ class Condition(NamedTuple):
         """What the condition means, in words."""
         return f"not {self.text}" if self.cause == GOAL_MISSED else self.text
 
-    def judge(self, columns: ColumnArrays) -> JudgedCause:
+    def judge(self, columns: ColumnArrays) -> CauseVerdicts:
         """Return which rows (n,) the cause applies to, by their metrics at the end of the rollout."""
         found = np.asarray(evaluate_expression(self.text, columns.__getitem__))
         holds = ~found if self.cause == GOAL_MISSED else found
         invalid, none = self.cause == UNTRUSTED, np.zeros(holds.shape, int)
         margin = None if invalid else self.margin(columns)
-        return JudgedCause(self.cause, self.threshold_key, invalid, holds, np.full(holds.shape, np.inf), none, margin)
+        return CauseVerdicts(self.cause, self.threshold_key, invalid, holds, np.full(holds.shape, np.inf), none, margin)
 
     @property
     def threshold(self) -> tuple[str, float, bool] | None:

@@ -37,7 +37,7 @@ def are_all_different(values: np.ndarray) -> bool:
     return not (ordered[1:] == ordered[:-1]).any()
 
 
-def number_distinct(values: np.ndarray) -> np.ndarray:
+def rank_distinct_values(values: np.ndarray) -> np.ndarray:
     """Return the place (n,) of each of some whole numbers (n,) among their distinct values in rising order."""
     low, high = (int(end) for end in (values.min(initial=0), values.max(initial=0)))
     if high - low > 4 * len(values):  # a table of all that lie between would be large

@@ -9,7 +9,7 @@ from pkgutil import resolve_name
 from typing import Any, NamedTuple
 
 
-class Group(NamedTuple):
+class ConfigGroup(NamedTuple):
     """A configuration group. Its classes are given as text, so that listing groups imports no simulator."""
 
     class_location: str  # module:name of its parameter dataclass, or of all of them by their `kind`
@@ -49,23 +49,23 @@ class Group(NamedTuple):
 
 
 GROUPS = {
-    "scenario": Group("sweep.study.study:ScenarioSchema", is_global=True),
-    "study": Group("sweep.study.study:StudySchema", is_global=True),
-    "robot": Group("sweep.models.robot:Robot", in_case=True),
-    "obstacle": Group("sweep.models.obstacles:OBSTACLES", in_case=True, has_kinds=True),
-    "manoeuvre": Group("sweep.manoeuvres:MANOEUVRES", in_case=True, has_kinds=True),
-    "plan": Group(
+    "scenario": ConfigGroup("sweep.study.study:ScenarioSchema", is_global=True),
+    "study": ConfigGroup("sweep.study.study:StudySchema", is_global=True),
+    "robot": ConfigGroup("sweep.models.robot:Robot", in_case=True),
+    "obstacle": ConfigGroup("sweep.models.obstacles:OBSTACLES", in_case=True, has_kinds=True),
+    "manoeuvre": ConfigGroup("sweep.manoeuvres:MANOEUVRES", in_case=True, has_kinds=True),
+    "plan": ConfigGroup(
         "sweep.models.plan_numbers:PlanTable",
         in_case=True,
         has_free_keys=True,
         number_lister="sweep.systems.hexapod:plan_numbers",
     ),
-    "drive": Group("sweep.models.drive:Drive", in_case=True),
-    "contact": Group("sweep.models.contact:Contact", in_case=True),
-    "noise": Group("sweep.models.noise:Noise", in_case=True),
-    "execution": Group("sweep.models.disturbance:ExecutionFaults", in_case=True),
-    "control": Group("sweep.models.control:Control", in_case=True),
-    "engine": Group("sweep.contract.engine_settings:EngineSettings"),
-    "outcome": Group("sweep.metrics.outcome:OutcomeThresholds"),
-    "cluster": Group("sweep.study.clusters:CLUSTERS", has_kinds=True),
+    "drive": ConfigGroup("sweep.models.drive:Drive", in_case=True),
+    "contact": ConfigGroup("sweep.models.contact:Contact", in_case=True),
+    "noise": ConfigGroup("sweep.models.noise:Noise", in_case=True),
+    "execution": ConfigGroup("sweep.models.disturbance:ExecutionFaults", in_case=True),
+    "control": ConfigGroup("sweep.models.control:Control", in_case=True),
+    "engine": ConfigGroup("sweep.contract.engine_settings:EngineSettings"),
+    "outcome": ConfigGroup("sweep.metrics.outcome:OutcomeThresholds"),
+    "cluster": ConfigGroup("sweep.study.clusters:CLUSTERS", has_kinds=True),
 }

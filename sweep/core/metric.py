@@ -50,8 +50,8 @@ class CommonStart(Protocol):
         ...
 
     @property
-    def direction_varies(self) -> bool:
-        """Whether the commanded direction changes on the way, see `CommonTick.motion_along`."""
+    def command_direction_varies(self) -> bool:
+        """Whether the commanded direction changes on the way, see `CommonTick.motion_along_command`."""
         ...
 
     @property
@@ -59,7 +59,7 @@ class CommonStart(Protocol):
         """Number k of groups of joints, see `CommonTick.joint_torques`."""
         ...
 
-    def constant(self, value: Any) -> Array:
+    def constant_state(self, value: Any) -> Array:
         """Return a constant as a state: of the rollout's precision, for each rollout of a batch."""
         ...
 
@@ -117,11 +117,11 @@ class CommonTick(Protocol):
     def positive_work(self) -> Array:
         """Positive work (...) of the drives in J, or positive power in W summed over samples.
 
-        `CommonRollout.integral` converts the sum over all ticks to J.
+        `CommonRollout.integrate_sum` converts the sum over all ticks to J.
         """
         ...
 
-    def motion_along(self, before: Array) -> tuple[Array | None, Array]:
+    def motion_along_command(self, before: Array) -> tuple[Array | None, Array]:
         """Return how far the base went along the commanded direction, and for how long the command moved it.
 
         Args:
@@ -129,7 +129,7 @@ class CommonTick(Protocol):
 
         Returns:
             The way (...) in m, None where the direction never changes; and the time (...), as
-            `CommonRollout.integral` takes it.
+            `CommonRollout.integrate_sum` takes it.
         """
         ...
 
@@ -152,7 +152,7 @@ class CommonRollout(Protocol):
         """Weight of the robot (...) in N."""
         ...
 
-    def integral(self, total: Array) -> Array:
+    def integrate_sum(self, total: Array) -> Array:
         """Convert a sum of `CommonTick` numbers into an integral over time, in SI units."""
         ...
 
@@ -218,7 +218,7 @@ class Cause:
         unit = words[-1:] if words[-1] in UNIT_BY_SUFFIX else []
         return "_".join([*words[: len(words) - len(unit)], "min" if self.below else "max", *unit])
 
-    def quantity(self) -> Any:
+    def threshold_parameter(self) -> Any:
         """Make the threshold's parameter, in the metric's unit."""
         return quantity(self.default, column_unit(self.metric), at_least=-math.inf if self.below else 0.0)
 
@@ -298,7 +298,7 @@ def make_constant_begin[S](kind: Callable[..., S], *values: Any) -> Callable[[Co
     """
 
     def begin(start: CommonStart) -> S:
-        return kind(*map(start.constant, values))
+        return kind(*map(start.constant_state, values))
 
     return begin
 

@@ -13,7 +13,7 @@ ColumnArrays = Mapping[str, np.ndarray]  # metrics (n,) by name
 
 
 @dataclass(frozen=True)
-class JudgedCause:
+class CauseVerdicts:
     """One cause judged for n rows: where it applies, when it first applied, and its margin; input of
     `classify_rows`."""
 
@@ -26,7 +26,7 @@ class JudgedCause:
     margin: np.ndarray | None = None  # (n,): distance from the threshold, negative where it holds; None without one
 
 
-def judge_cause(cause: Cause, columns: ColumnArrays, limit: float, end_stage: np.ndarray) -> JudgedCause:
+def judge_cause(cause: Cause, columns: ColumnArrays, limit: float, end_stage: np.ndarray) -> CauseVerdicts:
     """Judge rows by the cause of a metric: where its threshold is crossed, when, and by which margin.
 
     Args:
@@ -42,7 +42,7 @@ def judge_cause(cause: Cause, columns: ColumnArrays, limit: float, end_stage: np
             time = np.nan_to_num(columns[f"{cause.name}_time_s"].astype(float), nan=np.inf)
         case _:
             time = np.full(end_stage.shape, np.inf)
-    return JudgedCause(
+    return CauseVerdicts(
         cause.name,
         cause.threshold,
         cause.invalid,
@@ -74,7 +74,7 @@ def cause_margin(cause: Cause, columns: ColumnArrays, limit: float) -> np.ndarra
 
 
 def classify_rows(
-    causes: Sequence[JudgedCause], end_stage: np.ndarray, stages: Sequence[str], unknown_margin: float = -np.inf
+    causes: Sequence[CauseVerdicts], end_stage: np.ndarray, stages: Sequence[str], unknown_margin: float = -np.inf
 ) -> dict[str, np.ndarray]:
     """Label rows with their outcomes.
 

@@ -67,7 +67,7 @@ def show_counts(step: Callable[..., str], *counts: int) -> Iterator[Callable[...
 
 
 @contextmanager
-def time_part(name: str) -> Iterator[None]:
+def time_step_part(name: str) -> Iterator[None]:
     """Measure the duration of this context as a named part of a longer step. Parts may run at the same time."""
     start = _begun[name] = time.perf_counter()
     try:

@@ -16,7 +16,7 @@ from sweep.controllers.layers import Command, Feedforward
 from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import TrackerState
 from sweep.core.parameters import InputError
-from sweep.core.progress import time_part
+from sweep.core.progress import time_step_part
 from sweep.engines import planning, pre_rollout
 from sweep.engines.contact_forces import SurfaceContacts
 from sweep.fused.dependence import find_unread_columns
@@ -49,7 +49,7 @@ def _nominal_plan(belief: Case, dtype: np.dtype) -> Plan:
 
 
 def _compute_nominal_plan(belief: Case) -> Plan:
-    with time_part("nominal plan"):
+    with time_step_part("nominal plan"):
         plan = planning.evaluate_plan(lambda: belief.manoeuvre.plan(belief))
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(plan)):
         kinds = f"manoeuvre = {belief.manoeuvre.kind} on obstacle = {belief.obstacle.kind}"

@@ -18,7 +18,7 @@ from sweep.contract.engine import Metrics, TimeSeriesRequest
 from sweep.contract.engine_settings import EngineSettings
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
-from sweep.core.progress import time_part
+from sweep.core.progress import time_step_part
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics.free_bodies import start_at_rest
 from sweep.dynamics.step import PhysicsState, state_at_rest
@@ -260,7 +260,7 @@ class MjxEngine(BatchEngine):
             )
             plans, carry = devices.sharded_shapes(batch, self._mesh)
             if self._runs_outside_xla:
-                with time_part("closed loop"):
+                with time_step_part("closed loop"):
                     lanes = kernel.choose_lanes(self.width, devices.count_cores())
                     chunk_future = pool.submit(
                         kernel.start_compilation(self._tick, *single_rollout_shapes(arrays, batch), lanes=lanes)
@@ -273,7 +273,7 @@ class MjxEngine(BatchEngine):
             chunk = on_devices(chunk, in_specs=(*specs, split, split, whole, split), out_specs=recorded)
             options = launch.XLA_OPTIONS if self.fused else None
             chunk_program = jax.jit(chunk, donate_argnums=3, compiler_options=options)
-            with time_part("closed loop"):
+            with time_step_part("closed loop"):
                 chunk_future = pool.submit(chunk_program.lower(world, belief, plans, carry, 0, slots).compile)
                 finish_program = self._compile_finish(arrays, batch, on_devices)
                 return (
@@ -301,7 +301,7 @@ class MjxEngine(BatchEngine):
             )
             return jax.jit(again).lower(arrays[1], plans, carries.loop.tracker.stage, carries.loop.learned).compile()
 
-        with time_part("new plan"):
+        with time_step_part("new plan"):
             return fused_loop.trace_or_compile(
                 by_xla, replan_rest, belief, plan, carry.loop.tracker.stage, carry.loop.learned
             )
@@ -317,7 +317,7 @@ class MjxEngine(BatchEngine):
             finish = on_devices(finish, in_specs=(devices.partition_specs(arrays[0]), split, split), out_specs=split)
             return jax.jit(finish).lower(arrays[0], *devices.sharded_shapes(batch, self._mesh)).compile()
 
-        with time_part("figures"):
+        with time_step_part("figures"):
             if not self._uses_numpy:
                 return by_xla()
             (world, _, plan), carry = single_rollout_shapes(arrays, batch)
@@ -349,7 +349,7 @@ class MjxEngine(BatchEngine):
         """Chunk of control ticks of a device's rollouts; those in `slots` are recorded: all quantities, or columns."""
         axes, columns = devices.batch_axes(arrays[:2]), available_columns(self._nominal[0])
         last = jax.tree.map(lambda _: -1, (*axes, batch[0]))  # batch axes after `_batch_last`
-        tick = batch_last_vmap(self._tick, (last, -1, None), devices.reuse_threshold())
+        tick = batch_last_vmap(self._tick, (last, -1, None), devices.recomputation_cost_threshold())
 
         def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, slots: Array | None) -> Any:
             if self._replans:
@@ -407,7 +407,7 @@ def _uses_fused_compiler(settings: EngineSettings) -> bool:
     known = (device := jax.default_backend()) in ("cpu", "gpu")
     if settings.compiler == "fused" and not known:
         raise InputError(f"engine.compiler = fused is not allowed on a {device}: auto or xla")
-    return settings.fusible and known
+    return settings.is_fusible and known
 
 
 def _replan_batch(axes: Case) -> Callable[[Case, Plan, Carry], Carry]:

@@ -23,7 +23,7 @@ from sweep.controllers.flywheel import Flywheel
 from sweep.controllers.layers import Command
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
-from sweep.core.progress import time_part
+from sweep.core.progress import time_step_part
 from sweep.core.rotations import exponential, multiply
 from sweep.engines import batching, fused_loop, planning
 from sweep.engines.batching import BatchEngine
@@ -323,10 +323,10 @@ class NativeEngine(BatchEngine):
                 def by_xla() -> Compiled:
                     return jax.jit(jax.vmap(function, in_axes=axes)).lower(*inputs).compile()
 
-                with time_part(name):
+                with time_step_part(name):
                     return fused_loop.trace_or_compile(by_xla, function, *shapes) if use_numpy else by_xla()
 
-            with time_part("closed loop"):
+            with time_step_part("closed loop"):
                 if self.fused:
                     ticks = pool.submit(kernel.start_compilation(self._tick, shapes, state))
                 else:

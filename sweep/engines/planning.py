@@ -17,7 +17,7 @@ from jax.stages import Compiled
 from jaxtyping import Array, Float, Shaped
 
 from sweep.backends import devices
-from sweep.core.progress import time_part
+from sweep.core.progress import time_step_part
 from sweep.fused import eager, kernel
 from sweep.fused.arrays import Unsupported
 from sweep.fused.eager import NumpyProgram
@@ -72,7 +72,7 @@ def start_compilation(
         Shapes of the results for a batch, and a function that waits for the programs.
     """
     if use_numpy:
-        with suppress(Unsupported), time_part("plan"):
+        with suppress(Unsupported), time_step_part("plan"):
             program = eager.trace(start, *key_and_case_shapes(arrays), external=forces.SEARCHES)
             return batch_shapes(program.result_shapes, len(arrays[2])), lambda: (program, _compile_searches(program))
     lowered = jax.jit(batch_start(start)).lower(*arrays)
@@ -113,7 +113,7 @@ def compile_in_pool(
     """
 
     def compiled() -> Compiled:
-        with time_part(name):
+        with time_step_part(name):
             return program.compile(options)
 
     return pool.submit(compiled)
@@ -132,7 +132,7 @@ def _compile_search(least: Effort, problems: tuple[jax.ShapeDtypeStruct, ...]) -
         return forces.search_step(least, problem, state, number), {}
 
     sought = _force_problem([jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in problems])
-    with time_part("search for forces"):
+    with time_step_part("search for forces"):
         return kernel.compile_function(tick, sought, _initial_search(sought.pose.arm))
 
 

@@ -25,7 +25,7 @@ class AttitudeErrors(NamedTuple):
 def begin(start: RolloutStart) -> AttitudeErrors:
     """Initial state, before the first tick."""
     tilt = attitude.METRIC.begin(start)
-    return AttitudeErrors(tilt.largest_tilt, start.constant(0.0), tilt.quat)
+    return AttitudeErrors(tilt.largest_tilt, start.constant_state(0.0), tilt.quat)
 
 
 def update(state: AttitudeErrors, ctx: MetricTick) -> AttitudeErrors:

@@ -32,8 +32,8 @@ class DriveLoads(NamedTuple):
 def begin(start: RolloutStart) -> DriveLoads:
     """Initial state, before the first tick."""
     torque, effort, speed = (part.METRIC.begin(start) for part in (joint_torque, work, joint_speed))
-    zero, kinds = start.constant(0.0), start.constant(np.zeros(3))
-    return DriveLoads(torque, kinds, effort, zero, speed, zero, kinds, start.constant(1.0))
+    zero, kinds = start.constant_state(0.0), start.constant_state(np.zeros(3))
+    return DriveLoads(torque, kinds, effort, zero, speed, zero, kinds, start.constant_state(1.0))
 
 
 def update(state: DriveLoads, ctx: MetricTick) -> DriveLoads:

@@ -9,7 +9,7 @@ import numpy as np
 
 from sweep.core.errors import InputError
 from sweep.core.metric import Cause, column_unit, merge_columns
-from sweep.core.outcomes import GOAL_MISSED, JudgedCause, cause_margin, classify_rows, find_least_margins, judge_cause
+from sweep.core.outcomes import GOAL_MISSED, CauseVerdicts, cause_margin, classify_rows, find_least_margins, judge_cause
 from sweep.core.parameters import format_unit, parameters
 from sweep.metrics import CAUSES, METRICS, applicable_metrics
 from sweep.models.case import Case
@@ -40,7 +40,7 @@ class OutcomeThresholds:
 for _cause in CAUSES:
     if _cause.threshold:
         OutcomeThresholds.__annotations__[_cause.threshold] = float if _cause.default is not None else float | None
-        setattr(OutcomeThresholds, _cause.threshold, _cause.quantity())
+        setattr(OutcomeThresholds, _cause.threshold, _cause.threshold_parameter())
 parameters(OutcomeThresholds)
 
 
@@ -166,7 +166,7 @@ def explain_cause(row: Mapping[str, Any], limits: OutcomeThresholds) -> str:
     return CAUSE_MEANINGS.get(str(row["cause"]), "")
 
 
-def _judge_cause(cause: Cause, f: Mapping[str, np.ndarray], limits: OutcomeThresholds) -> JudgedCause:
+def _judge_cause(cause: Cause, f: Mapping[str, np.ndarray], limits: OutcomeThresholds) -> CauseVerdicts:
     """Judge rows by a cause. A comparison with NaN is false, hence the explicit check of every figure."""
     judged = judge_cause(cause, f, threshold_value(cause, limits), f["end_stage"])
     if cause.name != "not_finite":

@@ -66,7 +66,7 @@ class RolloutStart(NamedTuple):
     energy: Float[Array, ""]  # J
     learned: LearnedState = LearnedState()
 
-    direction_varies = True
+    command_direction_varies = True
     torque_groups = len(JOINT_KINDS)
 
     @property
@@ -79,7 +79,7 @@ class RolloutStart(NamedTuple):
         """Return the orientation (4,) of the base at the start, body to world."""
         return self.quat
 
-    def constant(self, value: Any) -> Array:
+    def constant_state(self, value: Any) -> Array:
         """Return a constant as a state, floats in the rollout's precision."""
         return jnp.asarray(value, self.feet.dtype if np.asarray(value).dtype.kind == "f" else None)
 
@@ -150,7 +150,7 @@ class MetricTick(NamedTuple):
         """Positive work of the drives in this tick (J)."""
         return self.report.positive_work
 
-    def motion_along(self, before: Float[Array, " 3"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    def motion_along_command(self, before: Float[Array, " 3"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """Return the distance (m) in this tick along the planned direction, and the tick's length (s); 0 at rest."""
         way = self.plan.position[self.stage] - self.stage_start
         length = jnp.linalg.norm(way)
@@ -238,7 +238,7 @@ class RolloutEnd(NamedTuple):
         """Weight of the robot (N)."""
         return GRAVITY * total_mass(self.world.robot)
 
-    def integral(self, total: Array) -> Array:
+    def integrate_sum(self, total: Array) -> Array:
         """Return the sum as it is: the engines report integrals over a tick."""
         return total
 

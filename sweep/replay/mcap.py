@@ -28,7 +28,7 @@ from foxglove.messages import (
 )
 
 from sweep.contract.engine import Trace
-from sweep.contract.trace_frames import finite_frames, frames_at_rate, joint_names, joint_positions, joint_rates
+from sweep.contract.trace_frames import count_finite_frames, frames_at_rate, joint_names, joint_positions, joint_rates
 from sweep.core.errors import Fault
 from sweep.core.files import path_descriptor, write_atomically
 from sweep.core.json_values import to_json_value
@@ -100,7 +100,7 @@ def _timestamp(nanoseconds: int) -> Timestamp:
 
 def _write_stages(context: Context, trace: Trace) -> None:
     channel = Channel("/stage", schema=_STAGE_SCHEMA, context=context)
-    stage = trace.stage[: finite_frames(trace)]
+    stage = trace.stage[: count_finite_frames(trace)]
     for k in np.flatnonzero(np.diff(stage, prepend=-1)):
         message = {"index": int(stage[k]), "name": trace.stages[stage[k]]}
         channel.log(message, log_time=_nanoseconds(trace.time[k]))
@@ -112,7 +112,7 @@ def _write_joints(context: Context, trace: Trace) -> None:
     angle, rate, torque = (
         values.tolist() for values in (joint_positions(trace), joint_rates(trace), trace.joint_torque)
     )
-    for k in range(finite_frames(trace)):
+    for k in range(count_finite_frames(trace)):
         time = _nanoseconds(trace.time[k])
         joints = [
             JointState(name=name, position=q, velocity=v, effort=effort)
@@ -131,7 +131,7 @@ def _write_loads(context: Context, trace: Trace) -> None:
     }
     channel = Channel("/foot_load", schema=schema, context=context)
     load = np.linalg.norm(trace.foot_force, axis=-1)
-    for k in range(finite_frames(trace)):
+    for k in range(count_finite_frames(trace)):
         channel.log(dict(zip(feet, to_json_value(load[k]), strict=True)), log_time=_nanoseconds(trace.time[k]))
 
 

@@ -11,8 +11,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from sweep.contract.engine import Trace, single_joints
-from sweep.contract.trace_frames import base_body_id, finite_frames
+from sweep.contract.engine import Trace, hinge_and_slide_joints
+from sweep.contract.trace_frames import base_body_id, count_finite_frames
 from sweep.core.files import decode_text, encode_text
 from sweep.replay.height_fields import sample_height_field
 from sweep.replay.hulls import geom_hull
@@ -47,7 +47,7 @@ def encode_motion(trace: Trace) -> dict[str, Any]:
         numbers: `scales` (nq,) for `qpos`, `force_scale` (N), `torque_scale` (N m), `margin_scale`, `friction_scale`.
             `limits` are the names of the limits to which margins belong; `torque_limit` is in N m.
     """
-    frames = finite_frames(trace)
+    frames = count_finite_frames(trace)
     qpos = np.asarray(trace.qpos[:frames], float)
     scales = np.maximum(qpos_resolution(trace.model), np.abs(qpos).max(axis=0) / INT16)
     force = np.asarray(trace.foot_force[:frames], float)
@@ -156,7 +156,7 @@ def describe_bodies(model: mujoco.MjModel, legs: int, way: np.ndarray | None = N
         `bodies`: index of the parent, position and quaternion in it, and joints, see `describe_joint`. `geoms`: body,
         shape, size (of a mesh: vertices and faces; of a height field: see `describe_field`), position, quaternion,
         colour, and whether it is the robot's.
-        `feet`: body and position of each foot. `hinges`: addresses of the `single_joints` in `qpos`.
+        `feet`: body and position of each foot. `hinges`: addresses of the `hinge_and_slide_joints` in `qpos`.
     """
     root = model.body_rootid[base_body_id(model)]
     drawn = [g for g in range(model.ngeom) if model.geom_group[g] < VISIBLE_GROUPS and model.geom_rgba[g, 3] > 0]
@@ -186,7 +186,7 @@ def describe_bodies(model: mujoco.MjModel, legs: int, way: np.ndarray | None = N
             for geom in drawn
         ],
         "feet": [[int(site.bodyid[0]), *round_values(site.pos)] for site in feet],
-        "hinges": model.jnt_qposadr[single_joints(model)].tolist(),
+        "hinges": model.jnt_qposadr[hinge_and_slide_joints(model)].tolist(),
     }
 
 

@@ -17,7 +17,7 @@ from matplotlib.image import imsave
 from PIL import Image, ImageDraw, ImageFont
 
 from sweep.contract.engine import Trace
-from sweep.contract.trace_frames import base_pose, finite_frames, frames_at_rate
+from sweep.contract.trace_frames import base_pose, count_finite_frames, frames_at_rate
 from sweep.core.files import write_atomically
 from sweep.core.parameters import InputError
 from sweep.core.spacing import evenly_spaced_indices
@@ -56,7 +56,7 @@ def write_png(folder: str | Path, trace: Trace, outcome: str = "", count: int = 
     Raises:
         InputError: Neither EGL nor OSMesa works.
     """
-    folder, chosen = Path(folder), evenly_spaced_indices(finite_frames(trace), count)
+    folder, chosen = Path(folder), evenly_spaced_indices(count_finite_frames(trace), count)
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"t{trace.time[k]:07.3f}s.png" for k in chosen]
     for path, picture, k in zip(paths, render(trace, chosen), chosen, strict=True):

@@ -13,7 +13,7 @@ from sweep.contract.engine import Trace, same_bits
 from sweep.contract.engine_settings import EngineSettings
 from sweep.contract.system import System, judge_rollout
 from sweep.runs import store
-from sweep.runs.batches import make_engine, make_nominal_batch, with_delay_buffer
+from sweep.runs.batches import allocate_delay_buffers, make_engine, make_nominal_batch
 from sweep.runs.runner import load_point
 from sweep.study.columns import LABEL_COLUMNS
 from sweep.study.study import parameter_columns
@@ -49,7 +49,7 @@ def replay_rollout(folder: Path, point: str) -> Replay:
     task, slot, row = load_point(folder, point)
     table, stored = store.read_points(folder), store.read_study(folder)
     config = stored["config"]
-    exp = with_delay_buffer(build_experiment(config), table)
+    exp = allocate_delay_buffers(build_experiment(config), table)
     start = make_nominal_batch(exp, table.loc[table["batch"] == row["batch"]], len(task.streams))
     engine = make_engine(exp, start)
     trace = engine.trace(task.world, task.belief, task.streams, slot)
@@ -69,7 +69,7 @@ def state_table(system: System, trace: Trace) -> pd.DataFrame:
         system: The system that was simulated.
         trace: The rollout.
     """
-    columns = system.state_columns(trace)
+    columns = system.state_values_by_column(trace)
     return pd.DataFrame({"time_s": trace.time, "stage": [trace.stages[k] for k in trace.stage], **columns})
 
 

@@ -4,7 +4,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from sweep.config.experiment import Experiment
-from sweep.contract.system import split_side
+from sweep.contract.system import split_side_prefix
 from sweep.report.cells import MapCells, axis_places
 from sweep.study.analytic_limits import AnalyticLimit
 
@@ -19,7 +19,7 @@ def limit_curve(theory: AnalyticLimit, exp: Experiment, rows: pd.DataFrame, alon
     found = []
     for value, group in rows.groupby(along):
         agreed = group.loc[:, group.nunique() == 1].iloc[0]
-        here = {split_side(str(name))[1]: one for name, one in agreed.items()}
+        here = {split_side_prefix(str(name))[1]: one for name, one in agreed.items()}
 
         def value_of(path: str, rows: dict = here) -> float:
             return rows[path] if path in rows else exp.system.nominal(path, exp.settings)
@@ -32,7 +32,7 @@ def draw_limits(ax: Axes, exp: Experiment, rows: pd.DataFrame, x: str, y: str, c
     """Draw the analytic limits of both parameters of a map as labelled curves."""
     for theory, style in zip(exp.study.theory, LINE_STYLES, strict=False):
         for across, along in ((x, y), (y, x)):
-            if split_side(across)[1] != theory.of or rows[along].dtype.kind not in "fi":
+            if split_side_prefix(across)[1] != theory.of or rows[along].dtype.kind not in "fi":
                 continue
             found = limit_curve(theory, exp, rows, along)
             pairs = (found["limit"], found["along"]) if across == x else (found["along"], found["limit"])

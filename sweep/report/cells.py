@@ -24,7 +24,7 @@ class MapCells(NamedTuple):
     y_names: tuple[str, ...] = ()
 
 
-def place_cells(rows: pd.DataFrame, x: str, y: str) -> tuple[pd.DataFrame, MapCells]:
+def lay_out_cells(rows: pd.DataFrame, x: str, y: str) -> tuple[pd.DataFrame, MapCells]:
     """Lay rows out over two parameters, of numbers or of names.
 
     Args:
@@ -74,7 +74,7 @@ def end_axes_at_zero(ax: Axes) -> None:
             set_limit(0)
 
 
-def mark_values(ax: Axes, cells: MapCells) -> None:
+def label_axis_values(ax: Axes, cells: MapCells) -> None:
     """Label the values of uneven axes, and names, cell by cell."""
     for axis, values, names in ((ax.xaxis, cells.x, cells.x_names), (ax.yaxis, cells.y, cells.y_names)):
         if names:

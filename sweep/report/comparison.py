@@ -10,7 +10,7 @@ from sweep.analysis.stats import format_percent
 from sweep.core.errors import InputError, suggest
 from sweep.core.expressions import find_column
 from sweep.report.labels import axis_words
-from sweep.report.tables import page_table
+from sweep.report.tables import markdown_table
 from sweep.runs import store, time_series
 from sweep.study.study import identity_columns
 
@@ -42,15 +42,15 @@ def comparison_text(
             parts += [
                 "",
                 f"By region ({', '.join(map(axis_words, axes))}):",
-                page_table(compare.flips_by_region(pairs, axes, unit)),
+                markdown_table(compare.flips_by_region(pairs, axes, unit)),
             ]
-        parts += ["", "What became what:", page_table(compare.cause_changes(pairs))]
-        parts += ["", "Pairs that differ:", page_table(compare.changed_pairs(pairs).head(MAX_LISTED))]
+        parts += ["", "What became what:", markdown_table(compare.cause_changes(pairs))]
+        parts += ["", "Pairs that differ:", markdown_table(compare.changed_pairs(pairs).head(MAX_LISTED))]
     drift = compare.metric_drift(pairs)
     drift = drift[drift > 0].head(MAX_LISTED)
     if len(drift):
         figures = pd.DataFrame({"figure": drift.index, "typical change": [format_percent(v) for v in drift]})
-        parts += ["", "Metrics that changed most:", page_table(figures)]
+        parts += ["", "Metrics that changed most:", markdown_table(figures)]
     return "\n".join(parts)
 
 

@@ -17,7 +17,7 @@ from sweep.analysis import sensitivity
 from sweep.core.plot_style import PAGE_WIDTH_IN, fit_ticks, legend_below, new_figure, wrap_text
 from sweep.report.cells import end_axes_at_zero
 from sweep.report.figure import StudyFigure
-from sweep.report.headline import headline
+from sweep.report.headline import study_headline
 from sweep.report.labels import axis_title, axis_words, outcome_kind
 from sweep.report.outcome_style import find_style, kinds_by_frequency, legend_handle, marker_path
 from sweep.runs.results import Results
@@ -87,8 +87,8 @@ def draw_overview(results: Results) -> Figure:
     if wide:
         draw_parallel_axes(axes["lines"], results, columns[:MAX_AXES])
     if "rank" in axes:
-        draw_ranking(axes["rank"], ranked.head(MAX_AXES), results)
-    draw_pair(axes["pair"], results, columns)
+        draw_importance_ranking(axes["rank"], ranked.head(MAX_AXES), results)
+    scatter_over_two_parameters(axes["pair"], results, columns)
     draw_margins(axes["margin"], results, columns[0])
     for name in panels[-2:]:
         fit_ticks(axes[name], len(panels))
@@ -97,7 +97,7 @@ def draw_overview(results: Results) -> Figure:
         for kind, part in rows_by_kind(rows, ["outcome"])
     ]
     legend_below(figure, handles)
-    figure.suptitle(wrap_text(f"{results.name}: {headline(rows, results.exp)}", 72 * PAGE_WIDTH_IN - 20))
+    figure.suptitle(wrap_text(f"{results.name}: {study_headline(rows, results.exp)}", 72 * PAGE_WIDTH_IN - 20))
     return figure
 
 
@@ -126,7 +126,7 @@ def draw_parallel_axes(ax: Axes, results: Results, columns: list[str]) -> None:
     ax.spines[:].set_visible(False)
 
 
-def draw_ranking(ax: Axes, ranked: pd.DataFrame, results: Results) -> None:
+def draw_importance_ranking(ax: Axes, ranked: pd.DataFrame, results: Results) -> None:
     """Draw how strongly each parameter is related to failure."""
     names = [axis_words(name, results.exp) for name in ranked["axis"]]
     ax.barh(names, ranked["distance"], color=["0.75" if p > 0.05 else "#00649E" for p in ranked["p"]])
@@ -136,7 +136,7 @@ def draw_ranking(ax: Axes, ranked: pd.DataFrame, results: Results) -> None:
     ax.spines[["top", "right"]].set_visible(False)
 
 
-def draw_pair(ax: Axes, results: Results, columns: list[str]) -> None:
+def scatter_over_two_parameters(ax: Axes, results: Results, columns: list[str]) -> None:
     """Scatter the rollouts over the two most important parameters, or a single one by outcome."""
     every = list(rows_by_kind(results.rows, columns[:2]))
     for place, (kind, part) in enumerate(every):

@@ -8,11 +8,11 @@ from sweep.analysis.sample import pooled_rate
 from sweep.analysis.sampling_units import independent_unit, unit_numbers
 from sweep.analysis.stats import format_percent
 from sweep.config.experiment import Experiment
-from sweep.core.distinct_values import number_distinct
+from sweep.core.distinct_values import rank_distinct_values
 from sweep.core.errors import InputError, escape_control_characters
 
 
-def headline(rows: pd.DataFrame, exp: Experiment) -> str:
+def study_headline(rows: pd.DataFrame, exp: Experiment) -> str:
     """State the result of a study.
 
     Args:
@@ -25,10 +25,10 @@ def headline(rows: pd.DataFrame, exp: Experiment) -> str:
     """
     if not exp.study.is_adaptive:
         return str(pooled_rate(rows, exp))
-    return f"{probability_of_failure(rows, exp)}; {count_placed(rows)}"
+    return f"{probability_of_failure(rows, exp)}; {describe_placed_rollouts(rows)}"
 
 
-def largest_failure(rows: pd.DataFrame, exp: Experiment) -> str:
+def describe_main_failure(rows: pd.DataFrame, exp: Experiment) -> str:
     """Name what fails most: the most frequent cause, or the largest mode of a study that searches for failures.
 
     Args:
@@ -50,10 +50,10 @@ def largest_failure(rows: pd.DataFrame, exp: Experiment) -> str:
     return f"most frequent failure: {escape_control_characters(name)} ({share}): {meaning}"
 
 
-def sample_size(rows: pd.DataFrame, exp: Experiment) -> str:
+def describe_sample_size(rows: pd.DataFrame, exp: Experiment) -> str:
     """State how many independent observations the rows of a study are, or that they are no random sample."""
     units = unit_numbers(rows, exp)
-    number = 0 if units is None else number_distinct(units).max(initial=-1) + 1
+    number = 0 if units is None else rank_distinct_values(units).max(initial=-1) + 1
     if number <= 1:  # one replicate of a grid is the grid
         return "the points were chosen: no random sample" if len(rows) > 1 else "a single rollout"
     return f"{number:,} independent {independent_unit(exp.study).plural}"
@@ -75,7 +75,7 @@ def probability_of_failure(rows: pd.DataFrame, exp: Experiment) -> str:
     return f"P(failure) = {found.probability:.3g} ({interval}){caution}"
 
 
-def count_placed(rows: pd.DataFrame) -> str:
+def describe_placed_rollouts(rows: pd.DataFrame) -> str:
     """State how many rollouts an adaptive search has placed and how many failed; a count, not a rate."""
     failed, invalid = (int((rows["outcome"] == kind).sum()) for kind in ("failure", "invalid"))
     return f"{len(rows):,} rollouts placed where failures are expected, of which {failed:,} failed, {invalid:,} invalid"

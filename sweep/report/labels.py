@@ -9,7 +9,7 @@ import pandas as pd
 
 from sweep.analysis.compare import SECOND_RUN_MARK
 from sweep.config.experiment import Experiment
-from sweep.contract.system import split_side
+from sweep.contract.system import split_side_prefix
 from sweep.core.outcomes import SUCCESS
 from sweep.core.parameters import UNIT_BY_SUFFIX, format_unit
 from sweep.study.designs import Axis
@@ -55,28 +55,28 @@ def axis_words(column: str, exp: Experiment | None = None) -> str:
         `radius / body length`. Without `exp`, or for a column of no axis, the last part of the path.
     """
     axis = next((axis for axis in exp.study.axes if axis.column == column), None) if exp else None
-    return path_words(column) if axis is None else axis_name_words(axis)
+    return path_label(column) if axis is None else axis_name_label(axis)
 
 
-def path_words(column: str, parts: int = 1) -> str:
+def path_label(column: str, parts: int = 1) -> str:
     """Last `parts` of a parameter's path as words: `world.contact.friction` -> `friction (world)`."""
-    side, path = split_side(column)
+    side, path = split_side_prefix(column)
     words = " ".join(path.removesuffix(".name").split(".")[-parts:]).replace("_", " ")
     return words if side == "both" else f"{words} ({side})"
 
 
-def axis_name_words(axis: Axis) -> str:
+def axis_name_label(axis: Axis) -> str:
     """Label of an axis: its name, what its numbers mean if they are not values of its path, and its side."""
     words = axis.name.replace("_", " ")
     if axis.path and axis.times:
-        words = f"{words} / {path_words(axis.times)}"
+        words = f"{words} / {path_label(axis.times)}"
     elif axis.path and axis.relative is not None and axis.column.startswith("axis."):
         scale = axis.relative if isinstance(axis.relative, str) else f"{axis.relative:g}"
         words = f"{words}, relative error" + ("" if axis.relative == 1 else f" in units of {scale}")
     return words if axis.side == "both" or not axis.path or axis.side in words.split() else f"{words} ({axis.side})"
 
 
-def unique_words(columns: Iterable[str], exp: Experiment | None = None) -> dict[str, str]:
+def unique_labels(columns: Iterable[str], exp: Experiment | None = None) -> dict[str, str]:
     """Distinct labels, without units, for the columns of one table.
 
     Args:
@@ -88,24 +88,24 @@ def unique_words(columns: Iterable[str], exp: Experiment | None = None) -> dict[
         until they differ: `trunk mass (world)` beside `hip mass (world)`.
     """
     columns = list(columns)
-    found = {column: words_and_unit(column, exp)[0] for column in columns}
+    found = {column: label_and_unit(column, exp)[0] for column in columns}
     for parts in range(2, 2 + max((column.count(".") for column in columns), default=0)):
         counts = Counter(found.values())
         for column in columns:
             if "." in column and counts[found[column]] > 1:
-                found[column] = path_words(column, parts)
+                found[column] = path_label(column, parts)
     counts = Counter(found.values())
     return {c: words if counts[words] < 2 or "." not in c else f"{words}: {c}" for c, words in found.items()}
 
 
 def unique_headings(columns: Iterable[str], exp: Experiment | None = None) -> dict[str, str]:
-    """Distinct headings, with units, for the columns of one table, see `unique_words`."""
-    words = unique_words(columns, exp)
-    units = {column: words_and_unit(column, exp)[1] for column in words}
+    """Distinct headings, with units, for the columns of one table, see `unique_labels`."""
+    words = unique_labels(columns, exp)
+    units = {column: label_and_unit(column, exp)[1] for column in words}
     return {column: f"{text} [{units[column]}]" if units[column] else text for column, text in words.items()}
 
 
-def column_meaning(column: str, exp: Experiment) -> str:
+def hover_text(column: str, exp: Experiment) -> str:
     """Text shown on hover: a parameter's column and unit; empty for other columns."""
     if "." not in column:
         return ""
@@ -149,14 +149,14 @@ def column_unit(column: str, exp: Experiment) -> str:
 
 def heading(column: str, exp: Experiment | None = None) -> str:
     """Label with unit, for a table or beside an axis. Without `exp`, units of parameters are unknown."""
-    words, known = words_and_unit(column, exp)
+    words, known = label_and_unit(column, exp)
     return f"{words} [{known}]" if known else words
 
 
-def words_and_unit(column: str, exp: Experiment | None = None) -> tuple[str, str]:
+def label_and_unit(column: str, exp: Experiment | None = None) -> tuple[str, str]:
     """Label of a column, and its unit."""
     if column.endswith(SECOND_RUN_MARK):
-        words, unit = words_and_unit(column.removesuffix(SECOND_RUN_MARK), exp)
+        words, unit = label_and_unit(column.removesuffix(SECOND_RUN_MARK), exp)
         return f"{words}{SECOND_RUN_MARK}", unit
     if "." not in column:
         return name_and_unit(column)

@@ -26,8 +26,8 @@ from sweep.core.outcomes import SUCCESS
 from sweep.core.parameters import InputError
 from sweep.core.plot_style import FONT_SIZE_PT, PAGE_WIDTH_IN, legend_below, wrap_text
 from sweep.report import analytic_curves
-from sweep.report.cells import MapCells, axis_places, cell_edges, mark_values, place_cells
-from sweep.report.headline import count_placed
+from sweep.report.cells import MapCells, axis_places, cell_edges, label_axis_values, lay_out_cells
+from sweep.report.headline import describe_placed_rollouts
 from sweep.report.labels import axis_title, label_with_value
 from sweep.report.outcome_style import INVALID_CELL_COLOUR, find_style, glyph_ink, marker_path
 from sweep.runs import refine
@@ -55,8 +55,8 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
     x, y = map_axes(rows, chosen)
     exp = build_experiment(stored["config"])
     guessed = exp.study.resolution > 0 and {x, y} == {a.column for a in refine.make_lattice(exp.study).axes}
-    rows = refine.paint_cells(exp, rows) if guessed else rows.assign(known=True)
-    rows, cells = place_cells(rows, x, y)
+    rows = refine.rows_with_filled_cells(exp, rows) if guessed else rows.assign(known=True)
+    rows, cells = lay_out_cells(rows, x, y)
     panels = list(split_panels(rows, x, y, exp=exp))
     counts = [panel.groupby([x, y]).size() for _, panel in panels]
     most = max(int(count.max()) for count in counts)
@@ -78,13 +78,15 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
         else:
             (draw_outcomes if most == 1 else draw_rates)(ax, panel, cells)
             text = (
-                count_placed(panel) if exp.study.is_adaptive else str(pooled_rate(panel, exp)).replace(" (", "\n(", 1)
+                describe_placed_rollouts(panel)
+                if exp.study.is_adaptive
+                else str(pooled_rate(panel, exp)).replace(" (", "\n(", 1)
             )
             if guessed:  # the share of rollouts that succeed says nothing where they were placed near the boundary
                 draw_refined_cells(ax, exp, panel, x, y, cells)
                 text = f"{panel['known'].sum()} rollouts (dots); each cell as its corners"
             heads = [*heads, text]
-        mark_values(ax, cells)
+        label_axis_values(ax, cells)
         ax.set_title("\n".join(wrap_text(one, room) for one in heads))
         ax.set_xlabel(axis_title(x, exp))
         analytic_curves.draw_limits(ax, exp, panel, x, y, cells)
@@ -94,7 +96,9 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
     draw_legend(figure, list_outcome_kinds(rows, exp) if most == 1 else [], has_room_for_glyphs(cells), invalid, lines)
     if most > 1:
         scale = ScalarMappable(Normalize(0, 1), "cividis")
-        figure.colorbar(scale, ax=axes, label=f"rate of success, n = {count_range(counts)} a cell", shrink=0.8)
+        figure.colorbar(
+            scale, ax=axes, label=f"rate of success, n = {rollouts_per_cell_range(counts)} a cell", shrink=0.8
+        )
     name = title or stored["config"]["study"]["name"] or stored["config"]["scenario"]["name"]
     figure.suptitle(wrap_text(name.replace("_", " "), 72 * figure.get_size_inches()[0] - 2 * FONT_SIZE_PT))
     return figure
@@ -157,7 +161,7 @@ def list_outcome_kinds(rows: pd.DataFrame, exp: Experiment) -> list[str]:
     return [SUCCESS] * bool((rows["outcome"] == SUCCESS).any()) + causes
 
 
-def count_range(counts: list[pd.Series]) -> str:
+def rollouts_per_cell_range(counts: list[pd.Series]) -> str:
     """Smallest and largest number of rollouts in a cell."""
     low, high = min(int(c.min()) for c in counts), max(int(c.max()) for c in counts)
     return str(low) if low == high else f"{low}-{high}"

@@ -66,6 +66,6 @@ def read_failure_probability(folder: Path) -> str:
 
 def read_outcomes(folder: Path) -> pd.Series:
     """The outcomes of finished rows. Raises `InputError` where a part is damaged."""
-    if not store.current_parts(folder):
+    if not store.list_current_parts(folder):
         return pd.Series([], dtype=object)
     return store.read_rows(folder, ["outcome"])["outcome"]

@@ -17,7 +17,7 @@ from sweep.core.outcomes import FAILURE, INVALID, SUCCESS
 from sweep.core.plot_style import PAGE_WIDTH_IN, new_figure, wrap_text
 from sweep.core.spacing import evenly_spaced_indices
 from sweep.report import maps, replays
-from sweep.report.cells import MapCells, mark_values
+from sweep.report.cells import MapCells, label_axis_values
 from sweep.report.comparison import default_regions, name_pair_columns
 from sweep.report.figure import StudyFigure
 from sweep.report.labels import axis_title, axis_words
@@ -153,7 +153,7 @@ def draw_difference(difference: Results, data: pd.DataFrame, x: str, y: str) -> 
     looks = {"a": ("A", RATE_COLOURS), "b": ("B", RATE_COLOURS), "change": ("B less A", CHANGE_COLOURS)}
     for ax, (column, (title, look)) in zip(spots, looks.items(), strict=True):
         maps.draw_cells(ax, maps.cell_means(own, cells, column), cells, **look)
-        mark_values(ax, cells)
+        label_axis_values(ax, cells)
         ax.set_title(title)
         ax.set_xlabel(wrap_text(axis_title(x, difference.exp), 72 * PAGE_WIDTH_IN / 4))
     spots[0].set_ylabel(axis_title(y, difference.exp))

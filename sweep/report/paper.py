@@ -101,8 +101,8 @@ def write_paper(results: Results, out: Path, serif: bool = False) -> list[Path]:
             file=sys.stderr,
         )
     texts["main.tex"] = _template().render(
-        cyrillic=letter_codes(cyrillic),
-        unknown=letter_codes(unknown),
+        cyrillic=hexadecimal_code_points(cyrillic),
+        unknown=hexadecimal_code_points(unknown),
         others=others,
         alphabet_fonts=ALPHABET_FONTS if cyrillic or len(others) < len(unknown) else (),
         other_fonts=OTHER_FONTS if others else (),
@@ -284,7 +284,7 @@ def escape_latex(text: str) -> str:
     """Escape LaTeX's special characters in a text."""
     words = {"\\": "backslash", "~": "asciitilde", "^": "asciicircum", "<": "less", ">": "greater"}
     special = {c: rf"\text{word}{{}}" for c, word in words.items()} | {c: f"\\{c}" for c in "&%$#_{}"}
-    return tables.latex_signs("".join(special.get(c, c) for c in text))
+    return tables.replace_unit_signs("".join(special.get(c, c) for c in text))
 
 
 def find_other_letters(text: str) -> tuple[list[str], list[str], list[str]]:
@@ -296,7 +296,7 @@ def find_other_letters(text: str) -> tuple[list[str], list[str], list[str]]:
     return [letter for letter in letters if letter in CYRILLIC], unknown, others
 
 
-def letter_codes(letters: Iterable[str]) -> list[str]:
+def hexadecimal_code_points(letters: Iterable[str]) -> list[str]:
     """Hexadecimal code points, as `DeclareUnicodeCharacter` takes them."""
     return [f"{ord(letter):04X}" for letter in letters]
 

@@ -38,9 +38,9 @@ def choose_replays(results: Results, number: int) -> pd.DataFrame:
     rows = results.rows
     kinds = sorted(find_representatives(results), key=lambda one: (one.kind != SUCCESS, -one.number))
     alike = [(rows.index.get_loc(one.row.name), f"typical of {one.kind.replace('_', ' ')}") for one in kinds]
-    pairs = boundary_rows(results)
+    pairs = choose_boundary_rows(results)
     first = [*nominal_rows(results), *alike[: 1 + MAIN_CAUSES], *islice(pairs, 2), *alike[1 + MAIN_CAUSES :]]
-    turns = zip_longest(pairs, extreme_rows(results), spread_rows(results))
+    turns = zip_longest(pairs, choose_extreme_rows(results), choose_spread_rows(results))
     every = chain(first, *([one for one in turn if one] for turn in turns))
     long = (
         rows["duration_s"].to_numpy(dtype=float) >= MIN_DURATION_S if "duration_s" in rows else np.ones(len(rows), bool)
@@ -72,10 +72,10 @@ def nominal_rows(results: Results) -> Iterator[tuple[int, str]]:
     yield nearest, "nominal parameters" if away[nearest] == 0 else "nearest to the nominal parameters"
 
 
-def boundary_rows(results: Results) -> Iterator[tuple[int, str]]:
+def choose_boundary_rows(results: Results) -> Iterator[tuple[int, str]]:
     """Choose rows next to the boundary of success, far from each other, each with its neighbour across it."""
     near = np.flatnonzero(audit.boundary_mask(results))
-    place, win = parameter_places(results)[near], (results.rows["outcome"] == "success").to_numpy()[near]
+    place, win = scaled_parameters(results)[near], (results.rows["outcome"] == "success").to_numpy()[near]
     for k in order_by_distance(place):
         others = np.flatnonzero(win != win[k])
         pair = (k, others[np.argmin(np.linalg.norm(place[others] - place[k], axis=1))])
@@ -83,7 +83,7 @@ def boundary_rows(results: Results) -> Iterator[tuple[int, str]]:
             yield int(near[one]), f"next to the boundary, {'inside' if win[one] else 'outside'}"
 
 
-def extreme_rows(results: Results) -> Iterator[tuple[int, str]]:
+def choose_extreme_rows(results: Results) -> Iterator[tuple[int, str]]:
     """Choose rows with the largest or smallest value of a metric; metrics with a threshold come first."""
     for name in metrics_with_threshold_first(results):
         values = results.rows[name].to_numpy(dtype=float)
@@ -94,13 +94,13 @@ def extreme_rows(results: Results) -> Iterator[tuple[int, str]]:
                 yield int(k), f"{word} {heading(name)}: {format_value(finite[k])}{' ' + unit if unit else ''}"
 
 
-def spread_rows(results: Results) -> Iterator[tuple[int, str]]:
+def choose_spread_rows(results: Results) -> Iterator[tuple[int, str]]:
     """Choose rows, each as far as possible from those before it."""
     every = sample_indices(len(results.rows), MAX_SEARCHED_ROWS)
-    yield from ((int(every[k]), "far from all others") for k in order_by_distance(parameter_places(results)[every]))
+    yield from ((int(every[k]), "far from all others") for k in order_by_distance(scaled_parameters(results)[every]))
 
 
-def parameter_places(results: Results) -> np.ndarray:
+def scaled_parameters(results: Results) -> np.ndarray:
     """Parameters of each row (N, K), in units of their range; two different names are 1 apart."""
     columns = [pd.factorize(results.rows[c])[0].astype(float) for c in results.categorical_columns]
     columns += [results.rows[c].to_numpy(dtype=float) for c in results.numeric_columns]

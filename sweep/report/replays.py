@@ -14,7 +14,7 @@ from sweep.backends import devices
 from sweep.config.experiment import Experiment
 from sweep.contract.engine import MissingTrace, Trace, same_bits
 from sweep.contract.system import judge_rollout
-from sweep.contract.trace_frames import base_pose, finite_frames
+from sweep.contract.trace_frames import base_pose, count_finite_frames
 from sweep.core.errors import InputError
 from sweep.core.files import path_inside_folder, read_bytes_limited, write_atomically
 from sweep.replay.motion import MAX_RATE, describe_bodies, encode_motion
@@ -73,7 +73,7 @@ def simulate_again(
         Row, recorded rollout, and the labels and `run_id` that it gets here.
     """
     devices.configure_jax()  # the CPU counts as several devices from then on
-    exp = batches.with_delay_buffer(exp, planned)
+    exp = batches.allocate_delay_buffers(exp, planned)
     for _, part in pack_batches(rows, devices.default_batch_width()).groupby(["group", "batch", "width"]):
         order = np.zeros(int(part["width"].iloc[0]), dtype=int)
         order[part["slot"]] = np.arange(len(part))
@@ -124,7 +124,7 @@ def replay_content(row: pd.Series, trace: Trace) -> dict[str, Any]:
     return {
         **encode_motion(trace),
         "bodies": describe_bodies(
-            trace.model, trace.foot_position.shape[1], base_pose(trace)[: finite_frames(trace), :3]
+            trace.model, trace.foot_position.shape[1], base_pose(trace)[: count_finite_frames(trace), :3]
         ),
         "stages": list(trace.stages),
         "equal": len(same),  # figures that are the row's to the last bit

@@ -20,7 +20,7 @@ from sweep.core.distinct_values import count_distinct, has_several_values
 from sweep.core.plot_style import COLUMN_WIDTH_IN, PAGE_WIDTH_IN, new_figure, wrap_text
 from sweep.core.spacing import evenly_spaced_indices
 from sweep.report import analytic_curves
-from sweep.report.cells import mark_values, place_cells
+from sweep.report.cells import label_axis_values, lay_out_cells
 from sweep.report.labels import axis_title, axis_words, label_with_value
 from sweep.report.maps import (
     draw_cell_values,
@@ -41,7 +41,7 @@ MAX_GRID_VALUES = 400  # more values than this along an axis are no grid that a 
 
 
 @dataclass(frozen=True)
-class Section:
+class MapSection:
     """Rows of a map: a section through the points, or all of them in bins."""
 
     x: str
@@ -52,7 +52,7 @@ class Section:
     refined: bool = False  # whether rows without `known` are as their cell's corners
 
 
-def list_sections(results: Results) -> Iterator[Section]:
+def list_sections(results: Results) -> Iterator[MapSection]:
     """Yield a section for each pair of parameters.
 
     A grid is cut at a few values of a third parameter; with more parameters, next to their nominal values. Where such a
@@ -76,13 +76,13 @@ def list_sections(results: Results) -> Iterator[Section]:
         others = [c for c in axes if c not in (x, y) and c in results.numeric_columns]
         if results.exp.study.resolution and not others:
             note = f"each cell as its corners; {len(results.rows)} were run (dots), most of them next to the boundary"
-            yield Section(x, y, None, refine.paint_cells(results.exp, results.rows), note, refined=True)
+            yield MapSection(x, y, None, refine.rows_with_filled_cells(results.exp, results.rows), note, refined=True)
             continue
         section = cut_section(results, x, y, others)
         yield section if is_filled(section) else bin_rows(results, x, y, others)
 
 
-def cut_section(results: Results, x: str, y: str, remaining: list[str]) -> Section:
+def cut_section(results: Results, x: str, y: str, remaining: list[str]) -> MapSection:
     """Return the section of a map at nominal values of the `remaining` parameters, or at a few values of a single
     one."""
     rows = results.rows
@@ -90,16 +90,16 @@ def cut_section(results: Results, x: str, y: str, remaining: list[str]) -> Secti
         values = np.sort(rows[remaining[0]].unique())
         chosen = values[evenly_spaced_indices(len(values), MAX_PANELS)]
         note = f"at values of {axis_words(remaining[0], results.exp)}"
-        return Section(x, y, remaining[0], rows[rows[remaining[0]].isin(chosen)], note)
+        return MapSection(x, y, remaining[0], rows[rows[remaining[0]].isin(chosen)], note)
     fixed = {}
     for name in remaining:
         fixed[name] = nearest_value(rows[name], nominal_value(results, name))
         rows = rows[rows[name] == fixed[name]]
     note = ", ".join(label_with_value(c, v, results.exp) for c, v in fixed.items())
-    return Section(x, y, None, rows, f"at {note}" if note else "")
+    return MapSection(x, y, None, rows, f"at {note}" if note else "")
 
 
-def is_filled(section: Section) -> bool:
+def is_filled(section: MapSection) -> bool:
     """Whether a section is a grid of few enough values, and at least half of its cells have rows."""
     by = [section.x, section.y, *([section.panel_parameter] if section.panel_parameter else [])]
     counts = [section.rows[c].nunique() for c in by]
@@ -107,13 +107,13 @@ def is_filled(section: Section) -> bool:
     return min(counts[:2]) > 1 and max(counts[:2]) <= MAX_GRID_VALUES and 2 * cells >= math.prod(counts)
 
 
-def bin_rows(results: Results, x: str, y: str, remaining: list[str]) -> Section:
+def bin_rows(results: Results, x: str, y: str, remaining: list[str]) -> MapSection:
     """Bin all rows over two parameters; a parameter with few values keeps them."""
     rows = results.rows
     most = int(np.clip(np.sqrt(len(rows) / 20), 4, 40))
     bins = {c: min(most, count_distinct(rows[c], most)) for c in (x, y)}
     note = f"{bins[x]} by {bins[y]} bins" + (", over all values of the other parameters" if remaining else "")
-    return Section(x, y, None, rows.assign(**{c: bin_values(rows[c], most) for c in (x, y)}), note)
+    return MapSection(x, y, None, rows.assign(**{c: bin_values(rows[c], most) for c in (x, y)}), note)
 
 
 def nearest_value(values: pd.Series, target: float) -> float:
@@ -128,10 +128,10 @@ def nominal_value(results: Results, column: str) -> float:
     return float(results.exp.system.nominal(column, results.exp.settings))
 
 
-def draw_section(results: Results, chosen: Section) -> Figure:
+def draw_section(results: Results, chosen: MapSection) -> Figure:
     """Draw outcomes of single rollouts, or success rates with the ends of their intervals."""
     x, y = chosen.x, chosen.y
-    rows, cells = place_cells(chosen.rows, x, y)
+    rows, cells = lay_out_cells(chosen.rows, x, y)
     panels = list(
         split_panels(rows, x, y, (chosen.panel_parameter,) if chosen.panel_parameter else (), exp=results.exp)
     )
@@ -159,7 +159,7 @@ def draw_section(results: Results, chosen: Section) -> Figure:
                 draw_refined_cells(ax, results.exp, panel, x, y, cells)
             room = 72 * (PAGE_WIDTH_IN - 1) / 3 - 10  # titles side by side stay apart
             ax.set_title(wrap_text(", ".join([*title, word] if word else title), room))
-            mark_values(ax, cells)
+            label_axis_values(ax, cells)
             analytic_curves.draw_limits(ax, results.exp, panel, x, y, cells)
     for ax in spots:
         ax.set_visible(False)
@@ -198,7 +198,7 @@ def cell_rates(results: Results, rows: pd.DataFrame, by: list[str], axes: list[s
     return table if is_random_sample(rows, results.exp, axes) else table.assign(low=np.nan, high=np.nan)
 
 
-def section_data(results: Results, chosen: Section) -> pd.DataFrame:
+def section_data(results: Results, chosen: MapSection) -> pd.DataFrame:
     """The numbers behind a map, a row for each cell."""
     rows = chosen.rows
     named = [c for c in rows if "." in str(c) and rows[c].dtype.kind not in "fi" and has_several_values(rows[c])]

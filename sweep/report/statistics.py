@@ -13,11 +13,11 @@ from sweep.analysis.sampling_units import condition_rates, draw_ids, interval_me
 from sweep.analysis.sensitivity import MIN_RARER_OUTCOMES
 from sweep.analysis.stats import format_percent
 from sweep.config.experiment import Experiment
-from sweep.core.distinct_values import number_distinct
+from sweep.core.distinct_values import rank_distinct_values
 from sweep.core.errors import InputError
-from sweep.report.headline import headline, largest_failure, sample_size
+from sweep.report.headline import describe_main_failure, describe_sample_size, study_headline
 from sweep.report.labels import heading
-from sweep.report.tables import page_table
+from sweep.report.tables import markdown_table
 from sweep.runs import refine
 from sweep.runs.results import Results
 from sweep.study.design_kinds.base import Sensitivity
@@ -40,7 +40,7 @@ def statistics_sections(
     )
     every = pooled_rate(rows, exp)
     if exp.study.is_adaptive:  # its rows are no sample of what is asked about
-        yield "Probability of failure", headline(rows, exp)
+        yield "Probability of failure", study_headline(rows, exp)
         yield "How P(failure) was estimated", str(rare.estimate_failure_probability(rows, exp))
         if len(modes := rare.failure_modes(rows, exp)):
             yield "Failure modes by their share of P(failure)", modes
@@ -63,7 +63,7 @@ def statistics_sections(
         yield "Refinement", "\n".join(map(str, refine.summarize_panels(exp, rows)))
     if exp.study.resolution and len(effects := refine.total_effects(exp, rows)):
         yield "Importance of parameters in the map's cells (total Sobol index)", effects
-    whole = refine.paint_cells(exp, rows) if exp.study.resolution else rows
+    whole = refine.rows_with_filled_cells(exp, rows) if exp.study.resolution else rows
     if numbers and not several and not one_at_a_time:
         found = sensitivity.grid_volume(whole, exp)
         share, low, high = map(format_percent, (found.share, found.low, found.high))
@@ -77,21 +77,21 @@ def statistics_sections(
         yield "Axes without an effect", "\n".join(told)
     effective = [axis.column for axis in numbers if axis.name not in ineffective]
     if effective:
-        margins = sensitivity.margins(whole, exp)
+        margins = sensitivity.margins_from_nominal(whole, exp)
         yield "Margins: distance from the nominal value up to which rollouts succeed", _select_axes(margins, effective)
     if effective and several:
         title = (
             f"Tolerance: the error at which the probability of success falls to {format_percent(level)} (logistic fit; "
             "95 % interval from the rates at the values tried)"
         )
-        yield title, _select_axes(sensitivity.tolerance(rows, exp, level), effective)
+        yield title, _select_axes(sensitivity.tolerated_errors(rows, exp, level), effective)
     if len(drawn) and {"success", "failure"} <= set(rows["outcome"].unique()):
         yield (
             "Regional sensitivity: differences between failing and succeeding draws",
             sensitivity.regional_sensitivity(rows, exp),
         )
         yield from _sensitivity_tables(rows, exp)
-    draws, omitted = number_distinct(draw_ids(rows, exp)).max(initial=-1) + 1, []
+    draws, omitted = rank_distinct_values(draw_ids(rows, exp)).max(initial=-1) + 1, []
     for title, function in sensitivity_methods(exp, draws).items() if drawn else ():
         try:
             table = function(rows, exp, figure)
@@ -163,11 +163,11 @@ def render_statistics(rows: pd.DataFrame, exp: Experiment, level: float = 0.9, f
     """
     (_, answer), *sections = statistics_sections(rows, exp, level, figure)
     if not exp.study.is_adaptive:
-        answer = f"{answer}; {sample_size(drop_repeated_rollouts(rows, exp)[0], exp)}"
-    parts = [f"{exp.study.name}: {answer}\n{largest_failure(rows, exp)}\n"]
+        answer = f"{answer}; {describe_sample_size(drop_repeated_rollouts(rows, exp)[0], exp)}"
+    parts = [f"{exp.study.name}: {answer}\n{describe_main_failure(rows, exp)}\n"]
     for title, content in sections:
         if isinstance(content, pd.DataFrame):
-            content = page_table(content, exp)
+            content = markdown_table(content, exp)
         parts.append(f"## {title}\n\n{content}\n")
     return "\n".join(parts)
 

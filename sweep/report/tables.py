@@ -14,9 +14,9 @@ from pyarrow.csv import WriteOptions, write_csv
 
 from sweep.analysis.stats import cause_lines, format_percent
 from sweep.config.experiment import Experiment
-from sweep.contract.system import split_side
+from sweep.contract.system import split_side_prefix
 from sweep.core.expressions import find_column
-from sweep.report.labels import column_unit, name_and_unit, path_words, unique_headings, unique_words
+from sweep.report.labels import column_unit, name_and_unit, path_label, unique_headings, unique_labels
 from sweep.runs.results import Results
 from sweep.study.columns import LABEL_COLUMNS, metric_columns
 
@@ -46,7 +46,7 @@ def render_table(rows: pd.DataFrame, form: str, names: list[str] | None = None, 
         case "latex":
             return latex_table(rows, exp).encode()
         case _:
-            page = page_table(rows, exp) + "\n"
+            page = markdown_table(rows, exp) + "\n"
             lines = axis_lines(rows, exp) if exp else []
             lines += (
                 cause_lines(rows["cause"], exp.system.cause_meanings(exp.thresholds)) if exp and "cause" in rows else []
@@ -132,12 +132,12 @@ def _join_small_parts(parts: Iterable[pa.Table]) -> Iterator[pa.Table]:
 
 def axis_lines(rows: pd.DataFrame, exp: Experiment) -> list[str]:
     """Explain each axis whose label does not show its path: `grip (world): world.contact.friction`."""
-    words = unique_words(rows.columns, exp)
+    words = unique_labels(rows.columns, exp)
     return [f"{words[a.column]}: {a.target}" for a in exp.study.axes
-            if a.target and a.column in rows and words[a.column] != path_words(a.target)]  # fmt: skip
+            if a.target and a.column in rows and words[a.column] != path_label(a.target)]  # fmt: skip
 
 
-def page_table(rows: pd.DataFrame, exp: Experiment | None = None) -> str:
+def markdown_table(rows: pd.DataFrame, exp: Experiment | None = None) -> str:
     """Format rows as a Markdown table with readable headings and numbers.
 
     Args:
@@ -174,10 +174,10 @@ def latex_table(rows: pd.DataFrame, exp: Experiment | None = None) -> str:
     style = format_rows(rows, exp).style.hide(axis="index")
     style = style.format(escape="latex").format_index(escape="latex", axis="columns")
     aligned = "".join("r" if rows[c].dtype.kind in "fi" else "l" for c in rows)
-    return latex_signs(style.to_latex(hrules=True, column_format=aligned))
+    return replace_unit_signs(style.to_latex(hrules=True, column_format=aligned))
 
 
-def latex_signs(escaped: str) -> str:
+def replace_unit_signs(escaped: str) -> str:
     """Replace signs of units in escaped text with commands of pdfLaTeX."""
     for sign, word in LATEX_SIGNS.items():
         escaped = escaped.replace(sign, word)
@@ -206,11 +206,11 @@ def rollout_table(exp: Experiment, row: pd.Series) -> str:
 
 def varied_parameters(results: Results) -> Iterator[dict[str, Any]]:
     """Yield a line for each varied parameter: label, path, side, unit, values and nominal value."""
-    words = unique_words(results.axes, results.exp)
+    words = unique_labels(results.axes, results.exp)
     paths = {axis.column: axis.path or "" for axis in results.exp.study.axes}
     for name in results.axes:
         values = results.rows[name]
-        side, path = split_side(name)
+        side, path = split_side_prefix(name)
         path = paths.get(name, path)
         listed = np.sort(values.unique()) if values.dtype.kind in "fiub" else sorted(values.unique())
         few = len(listed) <= 6

@@ -20,15 +20,15 @@ from sweep.contract.engine import Metrics
 from sweep.core.errors import InputError
 from sweep.core.spacing import evenly_spaced_indices
 from sweep.runs.axis_effects import find_unread_columns
-from sweep.runs.batches import forget_engine, make_batch, make_engine, make_nominal_batch, with_delay_buffer
-from sweep.study.study import is_static, parameter_columns
+from sweep.runs.batches import allocate_delay_buffers, forget_engine, make_batch, make_engine, make_nominal_batch
+from sweep.study.study import needs_other_engine, parameter_columns
 
 MAX_LEVELS_PER_AXIS = 9  # tried on an axis
 ENGINE_COLUMN = "engine.name"
 Levels = Mapping[str, Sequence[Any]]  # by column
 
 
-class InactiveStretch(NamedTuple):
+class InactiveInterval(NamedTuple):
     """Interval of an axis in which no metric changes."""
 
     column: str
@@ -44,7 +44,7 @@ class AxisCheckReport:
     axes: int  # number of axes that were tried
     engines: list[str]
     rollouts: int = 0  # simulated for the check
-    inactive: dict[InactiveStretch, list[str]] = field(default_factory=dict)  # each with the engines that show it
+    inactive: dict[InactiveInterval, list[str]] = field(default_factory=dict)  # each with the engines that show it
     unread: set[str] = field(default_factory=set)  # columns that no program of the study reads
     irreproducible: list[str] = field(default_factory=list)  # metrics that differ when a batch is simulated twice
 
@@ -88,7 +88,7 @@ def run_axis_check(
     Raises:
         InputError: The study varies nothing.
     """
-    exp = with_delay_buffer(exp, table)
+    exp = allocate_delay_buffers(exp, table)
     varied = [c for c in parameter_columns(table) if table[c].nunique() > 1]
     if not varied:
         raise InputError(f"--check: {exp.study.name} varies nothing")
@@ -107,9 +107,9 @@ def run_axis_check(
 
 def _find_inactive(
     exp: Experiment, table: pd.DataFrame, levels: Levels, report: AxisCheckReport, on_progress: Callable[[int], None]
-) -> Iterator[InactiveStretch]:
+) -> Iterator[InactiveInterval]:
     """Yield the stretches of axes without effect on one engine, whose points are `table`."""
-    static = [c for c in levels if is_static(c, exp.system, exp.settings)]
+    static = [c for c in levels if needs_other_engine(c, exp.system, exp.settings)]
     swept = {c: values for c, values in levels.items() if c not in static}
     middle = table.iloc[len(table) // 2]
     nominal = {c: exp.system.nominal(c, exp.settings) for c in parameter_columns(table)}
@@ -174,11 +174,11 @@ def _changed_rows(a: Metrics, b: Metrics) -> np.ndarray:
     return np.any(differ, axis=0) | (a.keys() != b.keys())
 
 
-def _inactive_stretches(column: str, levels: Sequence[Any], active: np.ndarray) -> Iterator[InactiveStretch]:
+def _inactive_stretches(column: str, levels: Sequence[Any], active: np.ndarray) -> Iterator[InactiveInterval]:
     """Longest intervals without effect; `active` says it of each interval between neighbouring levels."""
     edges = np.flatnonzero(np.diff(np.concatenate([[True], active, [True]]).astype(int)))
     for first, last in edges.reshape(-1, 2):
-        yield InactiveStretch(column, levels[first], levels[last], not active.any())
+        yield InactiveInterval(column, levels[first], levels[last], not active.any())
 
 
 def _format_value(value: Any) -> str:

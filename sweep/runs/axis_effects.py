@@ -6,7 +6,7 @@ import pandas as pd
 from sweep.analysis.axis_effects import compare_along_axes
 from sweep.config.experiment import Experiment
 from sweep.core.distinct_values import has_several_values
-from sweep.runs.batches import make_engine, make_nominal_batch, static_values, with_delay_buffer
+from sweep.runs.batches import allocate_delay_buffers, make_engine, make_nominal_batch, static_values
 from sweep.study.study import parameter_columns
 
 
@@ -20,7 +20,7 @@ def find_unread_columns(exp: Experiment, table: pd.DataFrame) -> set[str]:
     Raises:
         InputError: there is no engine for the points.
     """
-    exp = with_delay_buffer(exp, table)
+    exp = allocate_delay_buffers(exp, table)
     static = [*static_values(exp, table)]
     unread = {c for c in parameter_columns(table) if c not in static and has_several_values(table[c])}
     first_rows: list[int] = np.flatnonzero(~table.duplicated(static)).tolist() if static else [0]
@@ -31,7 +31,7 @@ def find_unread_columns(exp: Experiment, table: pd.DataFrame) -> set[str]:
         engine = make_engine(exp, make_nominal_batch(exp, rows, int(rows["width"].iloc[0])))
         ends = {c: (float(table[c].min()), float(table[c].max())) for c in sorted(unread)}
         unread &= engine.find_unread_columns(
-            lambda values, fixed=fixed: exp.system.make_sides({**fixed, **values}), ends
+            lambda values, fixed=fixed: exp.system.make_world_and_belief({**fixed, **values}), ends
         )
     return unread
 

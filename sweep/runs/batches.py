@@ -12,7 +12,7 @@ from sweep.contract.engine import Engine
 from sweep.contract.engine_settings import EngineSettings
 from sweep.contract.system import Limits, System
 from sweep.core.errors import Fault, InputError
-from sweep.study.study import extreme_points, identity_columns, is_static, parameter_columns, replace_settings
+from sweep.study.study import extreme_points, identity_columns, needs_other_engine, parameter_columns, replace_settings
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def forget_engine() -> None:
     _engine.cache_clear()
 
 
-def with_delay_buffer(exp: Experiment, table: pd.DataFrame) -> Experiment:
+def allocate_delay_buffers(exp: Experiment, table: pd.DataFrame) -> Experiment:
     """Return the experiment with delay buffers of its system that are long enough for every point.
 
     The ends of all drawn axes count too, so that later draws of the same study use the same compiled program.
@@ -58,13 +58,13 @@ def with_delay_buffer(exp: Experiment, table: pd.DataFrame) -> Experiment:
     """
     study = exp.study
     if study.design.num and not study.points and not any(axis.values is not None for axis in study.axes):
-        exp = replace(exp, system=exp.system.with_delay_buffer(extreme_points(study, exp.system, exp.settings)))
-    return replace(exp, system=exp.system.with_delay_buffer(table))
+        exp = replace(exp, system=exp.system.allocate_delay_buffers(extreme_points(study, exp.system, exp.settings)))
+    return replace(exp, system=exp.system.allocate_delay_buffers(table))
 
 
 def static_values(exp: Experiment, table: pd.DataFrame) -> dict[str, Any]:
     """Return the values, by column, that all rows of one group share and that fix its compiled program."""
-    static = [c for c in parameter_columns(table) if is_static(c, exp.system, exp.settings)]
+    static = [c for c in parameter_columns(table) if needs_other_engine(c, exp.system, exp.settings)]
     return {c: getattr(v := table[c].iloc[0], "item", lambda v=v: v)() for c in static}
 
 
@@ -81,7 +81,9 @@ def make_nominal_batch(exp: Experiment, rows: pd.DataFrame, width: int) -> Batch
     """
     statics = static_values(exp, rows)
     settings = replace_settings(exp.settings, statics)
-    return Batch(replace(settings, width=width), *exp.system.make_sides(statics), np.zeros(0, dtype=np.int64))
+    return Batch(
+        replace(settings, width=width), *exp.system.make_world_and_belief(statics), np.zeros(0, dtype=np.int64)
+    )
 
 
 def make_batch(exp: Experiment, rows: pd.DataFrame) -> Batch:
@@ -98,7 +100,7 @@ def make_batch(exp: Experiment, rows: pd.DataFrame) -> Batch:
     slots = np.minimum(np.arange(width), len(rows) - 1)
     statics = static_values(exp, rows)
     swept = {c: rows[c].to_numpy(dtype=float)[slots] for c in parameter_columns(rows) if c not in statics}
-    world, belief = exp.system.make_sides({**statics, **swept})
+    world, belief = exp.system.make_world_and_belief({**statics, **swept})
     streams = rows["stream"].to_numpy()[slots]
     return Batch(replace(replace_settings(exp.settings, statics), width=width), world, belief, streams)
 

@@ -19,7 +19,11 @@ def choose_device_for_run(exp: Experiment) -> None:
     study = exp.study
     if (exp.out or not study.single) and _row_devices(exp.folder):
         choose_device_for_folder(exp.folder)
-    elif not study.points and not study.is_sequential and study.max_rollouts <= exp.system.cpu_threshold(exp.settings):
+    elif (
+        not study.points
+        and not study.is_sequential
+        and study.max_rollouts <= exp.system.max_rollouts_for_cpu(exp.settings)
+    ):
         devices.prefer_cpu(f"where {'a rollout ends' if study.max_rollouts == 1 else 'few rollouts end'} sooner")
 
 

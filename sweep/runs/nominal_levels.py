@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from sweep.config.experiment import Experiment
-from sweep.runs.batches import make_engine, make_nominal_batch, with_delay_buffer
+from sweep.runs.batches import allocate_delay_buffers, make_engine, make_nominal_batch
 from sweep.runs.runner import simulate_batch
 from sweep.study.designs import Axis
 from sweep.study.study import make_points
@@ -56,7 +56,7 @@ def _iter_failing(exp: Experiment, axis: Axis) -> Iterator[FailingLevel]:
     alone = {"axes": (axis,), "design": nominal, "replicates": 1, "where": None, "resolution": 0.0, "budget": 0}
     exp = replace(exp, study=replace(exp.study, **alone, keep=()))
     table = make_points(exp.study, exp.system, exp.settings).assign(width=1)
-    exp = with_delay_buffer(exp, table)
+    exp = allocate_delay_buffers(exp, table)
     meanings = exp.system.cause_meanings(exp.thresholds)
     for place, value in enumerate(table[axis.column]):
         row = table.iloc[[place]]

@@ -22,7 +22,7 @@ from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.runs import store
 from sweep.runs.runner import Job, prepare_job
-from sweep.study.designs import MAX_ROLLOUTS, Axis, drawn_names
+from sweep.study.designs import MAX_ROLLOUTS, Axis, drawn_axis_names
 from sweep.study.study import Study, make_points
 
 MISSING_LABEL, INVALID_LABEL, FAILURE_LABEL, SUCCESS_LABEL = -2, -1, 0, 1
@@ -155,7 +155,7 @@ def next_points(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
         InputError: See `make_lattice`.
     """
     study, grid = exp.study, make_lattice(exp.study)
-    first = max(study.design.count_draws(len(drawn_names(study.axes))), 1) * study.replicates
+    first = max(study.design.count_draws(len(drawn_axis_names(study.axes))), 1) * study.replicates
     tables = []
     room = study.budget - len(rows) if study.budget else math.inf
     for names, part in iter_panels(study, rows):
@@ -180,7 +180,7 @@ def _point_rollouts(
     study, most = exp.study, int(upto[asked].max())
     if study.design.num:
         draws = -(-most // study.replicates)
-        study = replace(study, design=study.design.with_draws(draws, len(drawn_names(study.axes))))
+        study = replace(study, design=study.design.with_draws(draws, len(drawn_axis_names(study.axes))))
     else:
         study = replace(study, replicates=most)
     at = np.nonzero(asked)
@@ -437,7 +437,7 @@ def total_effects(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
     return table.dropna().sort_values("total", ascending=False, ignore_index=True)
 
 
-def paint_cells(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
+def rows_with_filled_cells(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
     """Add a row for every lattice point whose label was filled in, so that a map has no holes.
 
     Args:

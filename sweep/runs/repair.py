@@ -200,7 +200,7 @@ def merge_small_parts(folder: Path, planned: pd.DataFrame) -> None:
     Raises:
         Fault: The disk refuses a write.
     """
-    parts = store.current_parts(folder)
+    parts = store.list_current_parts(folder)
     merged = {}
     for run in _mergeable_runs(parts, planned):
         if len(run) >= MIN_MERGED_PARTS:

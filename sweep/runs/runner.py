@@ -22,6 +22,7 @@ from sweep.core.outcomes import INVALID
 from sweep.runs import manifest, repair, store, time_series
 from sweep.runs.batches import (
     Batch,
+    allocate_delay_buffers,
     assign_batches,
     forget_engine,
     halve_batches,
@@ -29,7 +30,6 @@ from sweep.runs.batches import (
     make_batch,
     make_engine,
     make_nominal_batch,
-    with_delay_buffer,
 )
 from sweep.runs.manifest import ManifestEntry
 from sweep.study import design_kinds
@@ -75,7 +75,7 @@ class Job:
         """Digest of the thresholds that judge the rows."""
         return labels_id(self.exp.values)
 
-    def missing(self) -> list[int]:
+    def missing_batches(self) -> list[int]:
         """Return the numbers of wanted batches that are not on disk."""
         return sorted(self.wanted_batches - store.finished_batches(self.folder))
 
@@ -84,7 +84,7 @@ class Job:
         """Positions of each batch's rows in the table, found once for all batches."""
         return self.table.groupby("batch").indices  # pyright: ignore[reportReturnType]
 
-    def rows(self, batches: list[int]) -> pd.DataFrame:
+    def points_of_batches(self, batches: list[int]) -> pd.DataFrame:
         """Return the points of `batches`, in the table's order."""
         if self.wanted_batches == {*batches} and self.table["batch"].nunique() == len(
             batches
@@ -165,7 +165,7 @@ def prepare_job(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
         if differ := set(planned.columns) ^ {*wanted.columns, "group", "batch", "slot", "width"}:
             raise InputError(f"{folder} holds a study with other axes ({', '.join(sorted(differ))}): give out=DIR")
     every = pd.concat([planned, wanted], ignore_index=True) if len(planned) else wanted  # no copy of millions of rows
-    buffered = with_delay_buffer(exp, every)
+    buffered = allocate_delay_buffers(exp, every)
     table = assign_batches(buffered, planned, wanted)
     time_series.check_history_size(buffered, table)
     unplanned = count_unassigned_points(exp, table, wanted)  # by the points' ids, which are not those with a buffer
@@ -202,7 +202,7 @@ def repair_folder(exp: Experiment, folder: Path) -> list[str]:
     lines = repair.repair_files(folder, study, labels)
     planned = store.read_points(folder)
     if stored is None and len(planned):
-        job, record = Job(with_delay_buffer(exp, planned), folder, planned, set()), RunRecord()
+        job, record = Job(allocate_delay_buffers(exp, planned), folder, planned, set()), RunRecord()
         for group, rows in planned.groupby("group"):
             start = make_nominal_batch(job.exp, rows, int(rows["width"].iloc[0]))
             record.stages[int(group)] = list(make_engine(job.exp, start).stages)  # pyright: ignore[reportArgumentType]
@@ -302,7 +302,7 @@ def run_job(job: Job, progress: ProgressCallback, dispatch: DispatchFunction = m
         if stored["labels"] != job.labels_digest:
             relabel(folder, exp.values["outcome"])
     write_description(job, record)
-    while missing := job.missing():
+    while missing := job.missing_batches():
         store.write_points(folder, job.table)
         out_of_memory: list[FinishedBatch] = []  # batches that did not fit into memory
         work = partial(simulate_on_worker, folder.resolve(), uuid4().hex, provenance.code_version())
@@ -310,7 +310,7 @@ def run_job(job: Job, progress: ProgressCallback, dispatch: DispatchFunction = m
             if done.entry is None:
                 out_of_memory.append(done)
                 continue
-            rows = accept_part(job, done, done.entry)
+            rows = list_finished_part(job, done, done.entry)
             if done.device not in record.devices:
                 record.devices.append(done.device)
                 write_description(job, record)
@@ -325,7 +325,7 @@ def run_job(job: Job, progress: ProgressCallback, dispatch: DispatchFunction = m
     return job
 
 
-def accept_part(job: Job, done: "FinishedBatch", entry: ManifestEntry) -> pd.DataFrame:
+def list_finished_part(job: Job, done: "FinishedBatch", entry: ManifestEntry) -> pd.DataFrame:
     """List the part that a worker wrote, so that its rows count.
 
     Args:
@@ -375,7 +375,7 @@ def iter_batches(
         record: Receives the stages of each group; written to `study.yaml`.
         out_of_memory: Batches that did not fit, which grows meanwhile; others of their group and width are skipped.
     """
-    for _, rows in job.rows(missing).groupby(["group", "width"], sort=False):
+    for _, rows in job.points_of_batches(missing).groupby(["group", "width"], sort=False):
         group, width = (int(rows[name].iloc[0]) for name in ("group", "width"))
         start = make_nominal_batch(job.exp, rows, width)
         engine = make_engine(job.exp, start)
@@ -393,7 +393,7 @@ def halve_batch_width(job: Job, out_of_memory: list["FinishedBatch"]) -> Job:
 
     These are all unfinished batches of the group and width of a batch that ran out of memory.
     """
-    crowded = job.rows([done.batch for done in out_of_memory])[["group", "width"]].drop_duplicates()
+    crowded = job.points_of_batches([done.batch for done in out_of_memory])[["group", "width"]].drop_duplicates()
     left = job.table[~job.table["batch"].isin(store.finished_batches(job.folder))]
     batches = left.merge(crowded, on=["group", "width"])["batch"].unique().tolist()
     table = halve_batches(job.table, batches, out_of_memory[0].devices)
@@ -439,7 +439,7 @@ def simulate_on_worker(folder: Path, version: str, code: str, number: int) -> Fi
     if (here := provenance.code_version()) != code:
         raise InputError(f"worker {host} has another version of the code or of its libraries: {here}, not {code}")
     job = _read_job(folder, version)
-    rows = job.rows([number])
+    rows = job.points_of_batches([number])
     start = make_nominal_batch(job.exp, rows, int(rows["width"].iloc[0]))
     engine = make_engine(job.exp, start)
     entry, beside = None, ()
@@ -492,7 +492,9 @@ def last_states_of_invalid_rows(
 @lru_cache(maxsize=1)
 def _read_job(folder: Path, version: str) -> Job:
     table = store.read_points(folder)
-    return Job(with_delay_buffer(build_experiment(store.read_study(folder)["config"]), table), folder, table, set())
+    return Job(
+        allocate_delay_buffers(build_experiment(store.read_study(folder)["config"]), table), folder, table, set()
+    )
 
 
 def write_description(job: Job, record: RunRecord) -> None:
@@ -514,8 +516,8 @@ def simulate_batch(exp: Experiment, engine: Engine, rows: pd.DataFrame) -> tuple
         Finished rows: points, metrics, outcome, and wall time per rollout (s); and the time histories that the study
         keeps of them, or None.
     """
-    task, slots, samples = make_batch(exp, rows), time_series.recorded_slots(exp, rows), None
-    watched = time_series.make_watch(exp, task.settings)
+    task, slots, samples = make_batch(exp, rows), time_series.slots_with_time_series(exp, rows), None
+    watched = time_series.make_time_series_request(exp, task.settings)
     start = time.perf_counter()
     if len(slots):
         figures, samples = engine.run_with_time_series(task.world, task.belief, task.streams, slots, watched)
@@ -542,7 +544,7 @@ def prepare_single_batch(exp: Experiment) -> tuple[Experiment, pd.DataFrame]:
     """
     exp = replace(exp, settings=replace(exp.settings, width=exp.settings.width or 1))
     table = assign_batches(exp, pd.DataFrame(), select_points(exp))
-    return with_delay_buffer(exp, table), table
+    return allocate_delay_buffers(exp, table), table
 
 
 def run_single_batch(exp: Experiment) -> pd.DataFrame:
@@ -572,7 +574,7 @@ def relabel(folder: Path, outcome: Mapping[str, Any]) -> None:
     stored = store.read_study(folder)
     config = {**stored["config"], "outcome": dict(outcome)}
     exp, labels = build_experiment(config), labels_id(config)
-    before = store.current_parts(folder)
+    before = store.list_current_parts(folder)
     if labels == stored["labels"]:
         return
     unfinished = [e for e in manifest.read_manifest(folder) if e.batches and e not in before]  # of a killed `relabel`
@@ -603,5 +605,5 @@ def load_point(folder: Path, point: str) -> tuple[Batch, int, pd.Series]:
     """
     table = store.read_points(folder)
     row = store.find_row(store.read_rows(folder), point, folder)
-    exp = with_delay_buffer(build_experiment(store.read_study(folder)["config"]), table)
+    exp = allocate_delay_buffers(build_experiment(store.read_study(folder)["config"]), table)
     return make_batch(exp, table[table["batch"] == row["batch"]]), int(row["slot"]), row

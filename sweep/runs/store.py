@@ -254,7 +254,7 @@ def list_recordings(folder: Path, subfolder: str) -> list[ManifestEntry]:
     return list({entry.file.rpartition("-")[0]: entry for entry in listed}.values())
 
 
-def current_parts(folder: Path) -> list[ManifestEntry]:
+def list_current_parts(folder: Path) -> list[ManifestEntry]:
     """Return the parts that hold a folder's rows: listed in its manifest, and judged by its present thresholds.
 
     Raises:
@@ -271,7 +271,7 @@ def current_parts(folder: Path) -> list[ManifestEntry]:
 
 def finished_batches(folder: Path) -> set[int]:
     """Return the numbers of the batches that are on disk. Raises `InputError` where the manifest is damaged."""
-    return {batch for entry in current_parts(folder) for batch in entry.batches}
+    return {batch for entry in list_current_parts(folder) for batch in entry.batches}
 
 
 def count_rollouts(folder: Path) -> tuple[int, int]:
@@ -298,7 +298,7 @@ def read_part(folder: Path, entry: ManifestEntry) -> pd.DataFrame:
 def last_seconds_per_rollout(folder: Path) -> float | None:
     """Return the wall time of a rollout (s) in the last batch of a folder; None where it is unknown."""
     try:
-        done = current_parts(folder)
+        done = list_current_parts(folder)
         return float(read_part(folder, done[-1])["wall_s"].iloc[-1]) if done else None
     except (InputError, KeyError):  # damaged, or of an earlier layout
         return None
@@ -338,7 +338,7 @@ def read_rows(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFram
     """
     tables: list[pa.Table] = []
     total = 0
-    size = sum(entry.length for entry in current_parts(folder))
+    size = sum(entry.length for entry in list_current_parts(folder))
     for part in iterate_parts(folder, columns):
         total += part.nbytes
         check_expansion(folder, total, size)
@@ -381,7 +381,7 @@ def iterate_parts(folder: Path, columns: Sequence[str] | None = None) -> Iterato
     """
     read_study(folder)
     wanted = None if columns is None else [*dict.fromkeys([*columns, *KEY_COLUMNS])]
-    parts = current_parts(folder)
+    parts = list_current_parts(folder)
     if not parts:
         raise InputError(f"{folder} has no finished rollouts yet")
     points, todo = _read_points_table(folder, wanted), {batch for entry in parts for batch in entry.batches}
@@ -390,7 +390,7 @@ def iterate_parts(folder: Path, columns: Sequence[str] | None = None) -> Iterato
         try:
             table = read_table(folder, entry, wanted)
         except InputError:
-            now = [one for one in current_parts(folder) if todo.intersection(one.batches)]
+            now = [one for one in list_current_parts(folder) if todo.intersection(one.batches)]
             if now == parts:
                 raise
             parts, points = now, _read_points_table(folder, wanted)
@@ -433,7 +433,7 @@ def read_column_types(folder: Path) -> pd.DataFrame:
     Raises:
         InputError: There are no rows yet, or a part is damaged.
     """
-    if not (parts := current_parts(folder)):
+    if not (parts := list_current_parts(folder)):
         raise InputError(f"{folder} has no finished rollouts yet")
     schemas = []
     for entry in parts:

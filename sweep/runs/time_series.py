@@ -24,13 +24,13 @@ LAST_STATES_DURATION_S = 1.0  # of such a row that are stored, s
 MAX_NUMBERS = 500_000_000  # of 4 bytes, in the histories of a study
 
 
-def make_watch(exp: Experiment, settings: EngineSettings) -> TimeSeriesRequest:
+def make_time_series_request(exp: Experiment, settings: EngineSettings) -> TimeSeriesRequest:
     """Return which columns the engine records, and how often, for a study's `keep`."""
     every = max(1, round(1 / (exp.study.keep_rate * settings.control_period)))
     return TimeSeriesRequest(exp.study.keep, every, exp.study.keep_rows)
 
 
-def recorded_slots(exp: Experiment, rows: pd.DataFrame) -> np.ndarray:
+def slots_with_time_series(exp: Experiment, rows: pd.DataFrame) -> np.ndarray:
     """Return the slots of a batch whose histories the study keeps; `rows` are indexed as in the table of all points."""
     return np.flatnonzero(rows.index < exp.study.keep_rows) if exp.study.keep else np.zeros(0, int)
 
@@ -62,7 +62,7 @@ def check_history_size(exp: Experiment, table: pd.DataFrame) -> int:
     return count
 
 
-def to_table(
+def time_series_table(
     rows: pd.DataFrame, samples: np.ndarray, time: np.ndarray, until: np.ndarray, columns: Sequence[str]
 ) -> pd.DataFrame:
     """Return histories of n rows as a table, one rollout below the other.
@@ -88,7 +88,7 @@ def to_table(
 def histories_table(
     finished: pd.DataFrame, slots: np.ndarray, samples: np.ndarray, watched: TimeSeriesRequest, period: float
 ) -> pd.DataFrame:
-    """Return the histories of a batch as a table, see `to_table`.
+    """Return the histories of a batch as a table, see `time_series_table`.
 
     Args:
         finished: Finished rows of the batch.
@@ -99,7 +99,7 @@ def histories_table(
     """
     rows = finished.iloc[slots]
     time = period * watched.every * (1 + np.arange(len(samples)))
-    return to_table(rows, samples, time, rows["duration_s"].to_numpy() + period / 2, watched.columns)
+    return time_series_table(rows, samples, time, rows["duration_s"].to_numpy() + period / 2, watched.columns)
 
 
 def simulate_last_states(
@@ -117,7 +117,7 @@ def simulate_last_states(
         limit: Largest number of rows to record.
 
     Returns:
-        A table for each recorded row, see `to_table`.
+        A table for each recorded row, see `time_series_table`.
     """
     slots = np.flatnonzero(finished["outcome"] == INVALID)[:limit]
     watched = TimeSeriesRequest(tuple(exp.system.recordable_columns), 1, MAX_INVALID_ROWS)
@@ -128,7 +128,7 @@ def simulate_last_states(
         row = finished.iloc[[slot]]
         end = row["t_cause_s"].fillna(row["duration_s"]).to_numpy() + period / 2
         chosen = time > end - LAST_STATES_DURATION_S
-        tables.append(to_table(row, samples[chosen, k : k + 1], time[chosen], end + period, watched.columns))
+        tables.append(time_series_table(row, samples[chosen, k : k + 1], time[chosen], end + period, watched.columns))
     return tables
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError, suggest
 from sweep.core.files import append_line, write_atomically
-from sweep.study.study import is_static, make_points, parameter_columns
+from sweep.study.study import make_points, needs_other_engine, parameter_columns
 
 DEFAULT_STEP = 0.02  # first step of a free number for which none is given
 STEP_BY_WORD = {"pitch": 2.0, "elevation": 2.0}  # first steps (deg) by the last word of a number's path
@@ -51,7 +51,7 @@ FIRST_RADIUS, MAX_RADIUS, MAX_HALVINGS = (
 )  # trust radius in first steps: first, largest; and how often it is halved
 
 
-def free_numbers(
+def parse_free_numbers(
     numbers: Mapping[str, float], patterns: Sequence[str], formulas: Collection[str] = ()
 ) -> dict[str, float]:
     """Parse `--free`: which numbers of a plan are searched, and their first steps.
@@ -100,9 +100,9 @@ def draw_beliefs(exp: Experiment, seed: int) -> tuple[Any, int]:
     table = make_points(replace(exp.study, seed=seed), exp.system, exp.settings)
     columns = parameter_columns(table)
     for column in columns:
-        if is_static(column, exp.system, exp.settings):
+        if needs_other_engine(column, exp.system, exp.settings):
             raise InputError(f"axis {column} cannot be drawn for a plan: it changes its stages")
-    return exp.system.make_sides({c: table[c].to_numpy(float) for c in columns})[1], len(table)
+    return exp.system.make_world_and_belief({c: table[c].to_numpy(float) for c in columns})[1], len(table)
 
 
 def search_by_cma(
@@ -242,7 +242,7 @@ def fit_size_slopes(
 ) -> np.ndarray:
     """Find how numbers should follow sizes of robot and obstacle, by sequential linear programming.
 
-    A program moves no farther than a trust radius, which halves until the mean `draw_cost` falls; where it never does,
+    A program moves no farther than a trust radius, which halves until the mean `cost_of_draws` falls; if it never does,
     the search ends.
 
     Args:
@@ -265,13 +265,13 @@ def fit_size_slopes(
     by, entries = shares / spread, resume_log(log, settings)
     radius, at = entries[-1] if entries else (FIRST_RADIUS, np.zeros((len(steps), len(spread))))
     at = np.array(at)  # slopes in first steps, per largest share of a draw
-    least = draw_cost(deficits(steps * (by @ at.T))).mean()
+    least = cost_of_draws(deficits(steps * (by @ at.T))).mean()
     for k in range(len(entries), settings["generations"]):
         progress(k, least)
         lack, slope = slopes(steps * (by @ at.T))
         for tried in radius / 2.0 ** np.arange(MAX_HALVINGS):
             to = solve_linear_program(lack, slope * steps, by, at, tried)
-            if (mean_cost := draw_cost(deficits(steps * (by @ to.T))).mean()) < least:
+            if (mean_cost := cost_of_draws(deficits(steps * (by @ to.T))).mean()) < least:
                 break
         else:
             break
@@ -280,7 +280,7 @@ def fit_size_slopes(
     return steps[:, None] * at / spread
 
 
-def draw_cost(deficit: np.ndarray) -> np.ndarray:
+def cost_of_draws(deficit: np.ndarray) -> np.ndarray:
     """Return the cost (draws,) of deficits (draws, margins): the largest of a draw, and a small share of their sum.
 
     Costs above `COST_SCALE` grow logarithmically, so that draws out of reach do not outweigh all others.
@@ -292,7 +292,7 @@ def draw_cost(deficit: np.ndarray) -> np.ndarray:
 def solve_linear_program(
     deficit: np.ndarray, slope: np.ndarray, by: np.ndarray, present_slopes: np.ndarray, radius: float
 ) -> np.ndarray:
-    """Return the slopes (n, k) within a radius of `present_slopes` that minimize the mean `draw_cost`, linearized.
+    """Return the slopes (n, k) within a radius of `present_slopes` that minimize the mean `cost_of_draws`, linearized.
 
     The variables are the positive and negative parts of the slopes, the deficit of each margin of a draw, and the
     largest deficit of each draw.
@@ -321,7 +321,7 @@ def solve_linear_program(
     largest = minus_column(pairs // deficit.shape[-1], count)
     rows = block_array([[moves, -moves, minus_column(pair, len(pairs)), None],
                         [None, None, eye_array(len(pairs)), largest]])  # fmt: skip
-    weight = np.exp(-draw_cost(deficit.max(axis=1)) / COST_SCALE) / count
+    weight = np.exp(-cost_of_draws(deficit.max(axis=1)) / COST_SCALE) / count
     price = np.concatenate(
         [np.full(2 * present_slopes.size, STEP_COST), SUM_WEIGHT * weight[pairs // deficit.shape[-1]], weight]
     )

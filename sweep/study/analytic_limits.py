@@ -9,7 +9,7 @@ from typing import Any
 
 from sweep.core.errors import InputError, require_choice
 from sweep.core.expressions import evaluate_expression
-from sweep.study.distributions import require_keys
+from sweep.study.distributions import require_known_keys
 from sweep.systems import find_formula
 
 LIMIT_KEYS = ("label", "formula", "output", "of", "inputs", "measured")
@@ -79,13 +79,15 @@ def parse_limit(key: str, values: Any) -> AnalyticLimit:
     Raises:
         InputError: A key is missing or unknown, or the formula has no such output or input.
     """
-    values = require_keys(key, values, LIMIT_KEYS)
+    values = require_known_keys(key, values, LIMIT_KEYS)
     for needed in ("formula", "output", "of"):
         if needed not in values:
             raise InputError(f"{key}.{needed} is missing")
     formula = find_formula(values["formula"])
     require_choice(values["output"], formula.outputs, f"{key}.output = {values['output']}")
-    inputs = require_keys(f"{key}.inputs", values.get("inputs", {}), tuple(entry.name for entry in formula.inputs))
+    inputs = require_known_keys(
+        f"{key}.inputs", values.get("inputs", {}), tuple(entry.name for entry in formula.inputs)
+    )
     return AnalyticLimit(
         values.get("label", formula.name),
         formula.name,

@@ -25,8 +25,8 @@ from sweep.study.distributions import (
     format_values,
     parse_number,
     parse_values,
-    refuse_formula,
-    require_keys,
+    refuse_spreadsheet_formula,
+    require_known_keys,
 )
 from sweep.study.distributions import parse_distribution as parse_distribution
 
@@ -112,7 +112,7 @@ def refuse_ignored_settings(study: Mapping[str, Any]) -> None:
     if not isinstance(design, Mapping):
         return  # which is refused by what reads it
     defaults = dataclasses.asdict(design_kinds.make_schema()())
-    for key, kinds in design_kinds.owners_of_settings().items():
+    for key, kinds in design_kinds.kinds_by_setting().items():
         usual, value = defaults[key], design[key]
         if design["kind"] not in kinds and value != usual:
             needs = f"it needs kind = {' or '.join(kinds)} (default {usual})"
@@ -196,9 +196,9 @@ def parse_design(values: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
         InputError: A setting is not allowed, or does not fit the axes.
     """
     fields = {member.name: member for member in dataclasses.fields(design_kinds.make_schema())}
-    values = require_keys("study.design", values, tuple(fields))
+    values = require_known_keys("study.design", values, tuple(fields))
     values = {key: check_value(fields[key], value, f"study.design.{key}") for key, value in values.items()}
-    drawn = list(drawn_names(axes))
+    drawn = list(drawn_axis_names(axes))
     values["correlation"] = _correlation("study.design.correlation", values.get("correlation") or [], drawn)
     kind = design_kinds.find_kind(values.get("kind", design_kinds.DEFAULT_KIND))
     require_choice(grid := values.get("grid", kind.grid), GRIDS, f"study.design.grid = {grid!r}")
@@ -210,7 +210,7 @@ def parse_design(values: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
     return design
 
 
-def drawn_names(axes: tuple[Axis, ...]) -> tuple[str, ...]:
+def drawn_axis_names(axes: tuple[Axis, ...]) -> tuple[str, ...]:
     """Return the names of the axes that have a distribution."""
     return tuple(axis.name for axis in axes if axis.distribution is not None)
 
@@ -245,8 +245,8 @@ def _matrix(pairs: tuple[tuple[str, str, float], ...], names: list[str]) -> np.n
 
 
 def _axis(key: str, name: str, axis_config: Any) -> Axis:
-    refuse_formula("study.axes", name)
-    axis_config = require_keys(key, axis_config, tuple(AXIS_KEYS))
+    refuse_spreadsheet_formula("study.axes", name)
+    axis_config = require_known_keys(key, axis_config, tuple(AXIS_KEYS))
     side, path, times, relative = (axis_config.get(word) for word in ("side", "path", "times", "relative"))
     if (side := side or "both") not in ("both", *SIDES):
         raise InputError(f"{key}.side = {side!r} is not allowed: one of both, world, belief")
@@ -324,7 +324,7 @@ def make_design_table(
     listed, drawn = [a for a in axes if a.values is not None], [a for a in axes if a.distribution]
     if grid is None:
         grid = _one_at_a_time(listed, nominal_of) if listed and design.varies_axes_alone else _grid(listed)
-    shares = unit_draws(axes, design, seed) if round_ is None else _spread(round_.quantiles, drawn, design)
+    shares = draw_quantiles(axes, design, seed) if round_ is None else _spread(round_.quantiles, drawn, design)
     size, count = len(grid), max(len(shares), 1)
     numbers = grid.take(np.repeat(np.arange(size), count)).reset_index(drop=True)
     for i, axis in enumerate(drawn):
@@ -349,7 +349,7 @@ def count_points(axes: tuple[Axis, ...], design: Design) -> int:
         Number of grid points times number of draws; the largest number for adaptive designs.
     """
     lengths = [len(a.values) for a in axes if a.values is not None and a.along is None]
-    draws = design.count_draws(len(drawn_names(axes)))
+    draws = design.count_draws(len(drawn_axis_names(axes)))
     return (sum(lengths) if design.varies_axes_alone else math.prod(lengths)) * max(draws, 1)
 
 
@@ -375,7 +375,7 @@ def _one_at_a_time(axes: list[Axis], nominal_of: Callable[[str], Any]) -> "pd.Da
     return pd.concat(whole).drop_duplicates()  # the arms cross
 
 
-def unit_draws(axes: tuple[Axis, ...], design: Design, seed: int) -> np.ndarray:
+def draw_quantiles(axes: tuple[Axis, ...], design: Design, seed: int) -> np.ndarray:
     """Draw the quantiles of the drawn axes.
 
     Args:
@@ -389,12 +389,14 @@ def unit_draws(axes: tuple[Axis, ...], design: Design, seed: int) -> np.ndarray:
     drawn = [a for a in axes if a.distribution]
     if not drawn:
         return np.empty((0, 0))
-    return _spread(design.sample(DrawContext(drawn_names(axes), seed)), drawn, design)
+    return _spread(design.sample(DrawContext(drawn_axis_names(axes), seed)), drawn, design)
 
 
 def extreme_draws(axes: tuple[Axis, ...]) -> adaptive_sampling.RoundDraws:
     """Return two draws with all drawn axes at the lower, and at the upper ends of their ranges."""
-    return adaptive_sampling.RoundDraws(np.repeat([[0.0], [1.0]], len(drawn_names(axes)), axis=1), np.arange(2), {})
+    return adaptive_sampling.RoundDraws(
+        np.repeat([[0.0], [1.0]], len(drawn_axis_names(axes)), axis=1), np.arange(2), {}
+    )
 
 
 def _spread(shares: np.ndarray, axes: list[Axis], design: Design) -> np.ndarray:

@@ -83,7 +83,7 @@ def parse_distribution(key: str, config: Any) -> Distribution:
             return _distribution_of_scipy(key, kind, config)
         raise InputError(f"{key}.kind = {kind!r} is unknown{suggest(kind, (*DISTRIBUTIONS, 'any of scipy.stats'))}")
     needed, optional = DISTRIBUTIONS[kind]
-    config = require_keys(key, config, ("kind", *needed, *optional))
+    config = require_known_keys(key, config, ("kind", *needed, *optional))
     for name in needed:
         if name not in config:
             raise InputError(f"{key}.{name} is missing: {kind} needs {' and '.join(needed)}")
@@ -115,7 +115,7 @@ def find_scipy_distribution(kind: str) -> Any:
 def _distribution_of_scipy(key: str, kind: str, config: Mapping[str, Any]) -> Distribution:
     """Parse a distribution of scipy.stats with its shape parameters, `loc` and `scale`."""
     shapes = tuple(name.strip() for name in (find_scipy_distribution(kind).shapes or "").split(",") if name.strip())
-    config = require_keys(key, config, ("kind", *shapes, "loc", "scale", "from", "to"))
+    config = require_known_keys(key, config, ("kind", *shapes, "loc", "scale", "from", "to"))
     for name in shapes:
         if name not in config:
             raise InputError(f"{key}.{name} is missing: {kind} needs {' and '.join(shapes)}")
@@ -125,7 +125,7 @@ def _distribution_of_scipy(key: str, kind: str, config: Mapping[str, Any]) -> Di
     return found
 
 
-def require_keys(path: str, mapping: Any, allowed: tuple[str, ...]) -> dict[str, Any]:
+def require_known_keys(path: str, mapping: Any, allowed: tuple[str, ...]) -> dict[str, Any]:
     """Require a mapping whose keys are all allowed.
 
     Args:
@@ -164,11 +164,11 @@ def parse_values(key: str, values: Any) -> list[Any]:
     if len({(isinstance(one, str), isinstance(one, bool)) for one in values}) > 1:
         raise InputError(f"{key} = {values!r} is not allowed: all numbers, or all names")
     for name in values:
-        refuse_formula(key, name)
+        refuse_spreadsheet_formula(key, name)
     return values
 
 
-def refuse_formula(key: str, name: Any) -> None:
+def refuse_spreadsheet_formula(key: str, name: Any) -> None:
     """Refuse a name that a spreadsheet would compute when it opens a table of results.
 
     Args:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sweep.contract.system import SIDES, System, split_side
+from sweep.contract.system import SIDES, System, split_side_prefix
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -57,7 +57,7 @@ def point_hashes(table: "pd.DataFrame", system: System) -> np.ndarray:
     Returns:
         Numbers (n,) of 64 bits.
     """
-    paths = [path for side, path in map(split_side, table.columns) if path.partition(".")[0] in system.groups]
+    paths = [path for side, path in map(split_side_prefix, table.columns) if path.partition(".")[0] in system.groups]
     nominal = {f"{side}.{path}": value for side in SIDES for path, value in system.iterate_physical_inputs(paths)}
     varied: dict[str, str] = {}
     for column in sorted(table.columns, key=lambda c: c.startswith(tuple(f"{s}." for s in SIDES))):  # a side's own win
@@ -70,7 +70,7 @@ def point_hashes(table: "pd.DataFrame", system: System) -> np.ndarray:
     for key, value in nominal.items():
         if key not in varied:
             shared += _hashes(key, np.asarray([value]))
-    for path, value in system.default_inputs(paths):
+    for path, value in system.inputs_left_out_of_point_ids(paths):
         for side in SIDES:
             shared -= _hashes(f"{side}.{path}", np.asarray([value]))
     keys: dict[str, list[str]] = {"replicate": ["replicate"]}

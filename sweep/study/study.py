@@ -28,7 +28,7 @@ from sweep.study.analytic_limits import parse_limit as parse_theory
 from sweep.study.columns import LABEL_COLUMNS, PLACEMENT_COLUMNS, TIMING_COLUMNS
 from sweep.study.design_kinds.base import AdaptiveDesign, Design, DrawContext
 from sweep.study.designs import Axis
-from sweep.study.distributions import require_keys
+from sweep.study.distributions import require_known_keys
 from sweep.study.point_ids import HASHED_DIGITS, point_hashes, point_ids, replicate_streams, row_streams
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ class Study(_PlainSettings):
     @property
     def draw_context(self) -> DrawContext:
         """What the design receives of the study."""
-        return DrawContext(designs.drawn_names(self.axes), self.seed, self.name)
+        return DrawContext(designs.drawn_axis_names(self.axes), self.seed, self.name)
 
     @property
     def is_sequential(self) -> bool:
@@ -181,7 +181,7 @@ class Study(_PlainSettings):
 
 
 def _expectation(key: str, values: Any) -> Expectation:
-    values = require_keys(key, values, ("where", "that", "at_least", "at_most"))
+    values = require_known_keys(key, values, ("where", "that", "at_least", "at_most"))
     for limit in ("at_least", "at_most"):
         value = values.get(limit, 0)
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:
@@ -210,7 +210,7 @@ def unit_of_column(column: str, system: System, settings: EngineSettings) -> str
     return "" if found == "-" else found
 
 
-def is_static(column: str, system: System, settings: EngineSettings) -> bool:
+def needs_other_engine(column: str, system: System, settings: EngineSettings) -> bool:
     """Return whether another value of a column needs another compiled engine.
 
     Args:
@@ -369,7 +369,7 @@ def make_points(
         design = design.copy()
     system.check(design, settings)
     # static axes outermost: every compiled engine runs its rows in one go
-    static = [column for column in fields if is_static(column, system, settings)]
+    static = [column for column in fields if needs_other_engine(column, system, settings)]
     order = design.groupby(static, sort=False).ngroup().argsort(kind="stable") if static else slice(None)
     design = design.assign(draw=draw).iloc[order]
     if study.where:

@@ -34,7 +34,7 @@ class LevelRows(NamedTuple):
         """Return some of the rows, by index or mask."""
         return LevelRows(*(part[which] for part in self))
 
-    def where_else(self, which: np.ndarray, others: "LevelRows") -> "LevelRows":
+    def combine_where(self, which: np.ndarray, others: "LevelRows") -> "LevelRows":
         """Return these rows where the mask `which` (n,) holds, and those of `others` elsewhere."""
         u = np.where(which[:, None], self.points, others.points)
         return LevelRows(u, *(np.where(which, a, b) for a, b in zip(self[1:], others[1:], strict=True)))
@@ -135,7 +135,7 @@ def _run(d: int, settings: LevelSettings, seed: int, run: int) -> Generator[Roun
     level = _level(u, asked, (yield asked))
     rollouts += settings.num
     for number in range(1, settings.max_levels + 1):
-        inside, bound = next_level(level.lead, settings)
+        inside, bound = choose_next_level(level.lead, settings)
         why = _explain_end(inside, bound, settings, p, number)
         if why is not None:
             return SubsetRunResult(p * float(level.failed.mean()), level, tuple(bounds), tuple(accepted), rollouts, why)
@@ -151,7 +151,7 @@ def _run(d: int, settings: LevelSettings, seed: int, run: int) -> Generator[Roun
             there = _level(u, asked, (yield asked))
             rollouts += len(u)
             stays = there.lead <= bound
-            here = there.where_else(stays, here)
+            here = there.combine_where(stays, here)
             states.append(here)
             taken.append(float(stays.mean()))
             width *= np.exp((taken[-1] - TARGET_ACCEPTANCE) / np.sqrt(step))
@@ -178,7 +178,7 @@ def _explain_end(
     return f"the lead is {bound:.4g} in all rows of a level: it leads nowhere" if inside.all() else None
 
 
-def next_level(lead: Float[np.ndarray, " n"], settings: LevelSettings) -> tuple[Bool[np.ndarray, " n"], float]:
+def choose_next_level(lead: Float[np.ndarray, " n"], settings: LevelSettings) -> tuple[Bool[np.ndarray, " n"], float]:
     """Choose the rows of the next level, those with the smallest leads.
 
     Args:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from sweep.contract.system import ClassesByKind, Nominal
+from sweep.contract.system import ClassesByKind, SystemSetup
 from sweep.core.errors import require_choice
 from sweep.core.groups import GROUPS
 
@@ -25,7 +25,7 @@ class SystemKind(NamedTuple):
     optional_keys: tuple[str, ...] = ()  # the keys that may be left out
     open_keys: tuple[str, ...] = ()  # the keys whose parts only the system knows
 
-    def build_nominal(self, values: Mapping[str, Any], kinds: ClassesByKind) -> Nominal:
+    def build_nominal(self, values: Mapping[str, Any], kinds: ClassesByKind) -> SystemSetup:
         """Build the system at its nominal parameters from a plain configuration.
 
         Args:

@@ -13,7 +13,7 @@ import pytest
 from sweep.cli.main import main
 from sweep.config import reference
 from sweep.core.terminal import HIDDEN_COLUMNS_HINT, fit_to_width
-from sweep.report.tables import page_table
+from sweep.report.tables import markdown_table
 
 WIDTH = 80
 
@@ -34,7 +34,7 @@ def test_the_reference_breaks_between_words(width):
 
 def test_columns_that_are_left_out_are_named_and_the_kept_ones_stay():
     wide = {f"a parameter with a name {k}": ["some-value-without-a-gap"] for k in range(6)}
-    rows = page_table(pd.DataFrame({**wide, "outcome": ["success"]}))
+    rows = markdown_table(pd.DataFrame({**wide, "outcome": ["success"]}))
     shown = fit_to_width(rows, WIDTH, ["outcome"], "look elsewhere")
     assert max(map(len, shown.splitlines())) <= WIDTH
     assert "success" in shown
@@ -44,7 +44,7 @@ def test_columns_that_are_left_out_are_named_and_the_kept_ones_stay():
 
 def test_counts_shares_and_units_are_told_in_one_way():
     rows = pd.DataFrame({"total": [16384], "share": [0.25], "low": [0.2], "high": [float("nan")]})
-    assert [cell.strip() for cell in page_table(rows).splitlines()[-1].split("|")[1:-1]] == [
+    assert [cell.strip() for cell in markdown_table(rows).splitlines()[-1].split("|")[1:-1]] == [
         "16,384",
         "25.0 %",
         "20.0 %",

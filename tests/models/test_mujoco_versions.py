@@ -40,7 +40,7 @@ def test_fields_that_differ_within_a_batch_are_all_found(paths):
     spec = mujoco.MjSpec.from_string(MODEL)
     batch = Batch(spec.copy().compile(), 2)
     written = fields.write_values(batch, {path: np.array(VARIED[path]) for path in paths}, lambda: spec)
-    found = mujoco_versions.batched_fields(batch, written)
+    found = mujoco_versions.differing_model_fields(batch, written)
     models = [batch.get_model(k) for k in range(2)]
     for name in MODEL_FIELDS:
         rows = np.array([fields.field_values(model, name) for model in models])

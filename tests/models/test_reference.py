@@ -56,7 +56,7 @@ def largest_error(recorded, case, width: int, seconds: float) -> np.ndarray:
             step(tree.tree_dynamics(case), case, limits, to_components(state), servo, TICK / 2, 2)[0]
         )
 
-    batch = batch_last_vmap(one, (-1, None), devices.reuse_threshold())
+    batch = batch_last_vmap(one, (-1, None), devices.recomputation_cost_threshold())
 
     def substep(states, reference):
         return batch(states, reference), None

@@ -38,7 +38,7 @@ def one_step():
         moving, report = step(smooth, CASE, limits, to_components(state_at_rest(top, q)), _order(torque), H, 3)
         return report.torque[BETA_3[1]][BETA_3[0]], jnp.stack(moving.motion.leg, axis=-1)
 
-    torques, rates = jax.jit(batch_last_vmap(run, (-1,), devices.reuse_threshold()))(jnp.array(TORQUES))
+    torques, rates = jax.jit(batch_last_vmap(run, (-1,), devices.recomputation_cost_threshold()))(jnp.array(TORQUES))
     return {torque: (np.asarray(torques)[k], np.asarray(rates)[..., k]) for k, torque in enumerate(TORQUES)}
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from sweep.contract.trace_frames import base_pose, finite_frames, frames_at_rate, frames_at_times
+from sweep.contract.trace_frames import base_pose, count_finite_frames, frames_at_rate, frames_at_times
 from sweep.core.parameters import InputError
 from sweep.core.spacing import evenly_spaced_indices
 from sweep.replay import rendering
@@ -34,15 +34,15 @@ def test_frames_nearest_to_times(trace):
     np.testing.assert_array_equal(frames_at_times(trace, np.array([-1.0, 0.0101, 0.5, 9.0])), [0, 2, 124, 249])
     assert len(frames_at_rate(trace, 25.0)) == 25
     np.testing.assert_array_equal(frames_at_rate(trace, 1e4), np.arange(250))
-    np.testing.assert_array_equal(evenly_spaced_indices(finite_frames(trace), 3), [0, 124, 249])
+    np.testing.assert_array_equal(evenly_spaced_indices(count_finite_frames(trace), 3), [0, 124, 249])
 
 
 def test_only_finite_frames_are_chosen(trace):
     qpos = trace.qpos.copy()
     qpos[1:] = np.inf
     broken = dataclasses.replace(trace, qpos=qpos)
-    assert finite_frames(broken) == 1
-    few = evenly_spaced_indices(finite_frames(broken), 4)
+    assert count_finite_frames(broken) == 1
+    few = evenly_spaced_indices(count_finite_frames(broken), 4)
     for chosen in (frames_at_times(broken, np.array([0.0, 5.0])), frames_at_rate(broken, 25.0), few):
         assert set(chosen.tolist()) == {0}
 

@@ -11,7 +11,7 @@ from sweep.cli.main import main
 from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.core.expressions import find_column
-from sweep.report.labels import axis_words, unique_headings, unique_words
+from sweep.report.labels import axis_words, unique_headings, unique_labels
 from sweep.report.page.data import page_data
 from sweep.runs import results
 from sweep.study.study import name_axes
@@ -58,7 +58,7 @@ def test_names_of_axes_are_accepted_where_columns_are(masses, capsys):
 
 def test_no_two_columns_share_a_label():
     masses = ["world.model.body.trunk.mass", "world.model.body.lf_hip.mass", "belief.model.body.trunk.mass"]
-    words = unique_words([*masses, "mass"])
+    words = unique_labels([*masses, "mass"])
     assert list(words.values()) == ["trunk mass (world)", "lf hip mass (world)", "mass (belief)", "mass"]
     exp = compose(["study=walk_map", "+study.axes.slip_max={path: drive.damping, values: [500.0, 520.0]}"])
     heads = unique_headings(["world.contact.friction", "drive.damping", "slip_max_m"], exp)

@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
         pairs = compare.pair_rows(a, b, parse_names(args.by))
         if len(args.b) > 1:
             print(f"{chr(10) if number else ''}{args.a} and {folder}")
-        unit = compare.independent_unit_of_pairs(pairs, results.load_experiment(args.a))
+        unit = compare.unit_numbers_of_pairs(pairs, results.load_experiment(args.a))
         text = comparison.comparison_text(pairs, len(a), len(b), parse_names(args.regions), unit)
         terminal.print_markdown(text + "\n")
         if line := comparison.first_difference_text(args.a, folder, args.histories):

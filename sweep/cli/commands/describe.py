@@ -2,7 +2,7 @@
 
 import argparse
 
-from sweep.cli.choices import outside_project_hint
+from sweep.cli.choices import no_project_hint
 from sweep.cli.command import Command, Section
 from sweep.cli.exits import DONE
 from sweep.core import terminal
@@ -32,6 +32,6 @@ def run(args: argparse.Namespace) -> int:
     try:
         text = reference.parameters_page() if args.name is None else reference.describe_name(args.name)
     except InputError as error:
-        raise InputError(f"{error}{outside_project_hint() if '=' in (args.name or '') else ''}") from None
+        raise InputError(f"{error}{no_project_hint() if '=' in (args.name or '') else ''}") from None
     terminal.print_markdown(text + "\n", required=("meaning",))
     return DONE

@@ -24,7 +24,7 @@ def add_arguments(parser: Arguments) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Apply new thresholds or conditions to the stored metrics."""
-    from sweep.report.headline import headline
+    from sweep.report.headline import study_headline
     from sweep.runs import results, runner, store
 
     exp = results.load_experiment(args.dir)
@@ -33,5 +33,5 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"a threshold is given twice: {' '.join(args.thresholds)}")
     with store.lock_folder(args.dir):
         runner.relabel(args.dir, {**exp.values["outcome"], **changes})
-    print(headline(store.read_rows(args.dir), exp))
+    print(study_headline(store.read_rows(args.dir), exp))
     return DONE

@@ -88,7 +88,7 @@ def write_pairs_page(args: argparse.Namespace, a: "Results", folder: Path) -> in
         raise InputError("--pictures, --x and --y are not allowed with a second folder")
     b = results.read_results(args.b, args.where)
     found, table = pairs.join_pairs(a, b)
-    unit = compare.independent_unit_of_pairs(table, a.exp)
+    unit = compare.unit_numbers_of_pairs(table, a.exp)
     if args.replays:
         device_choice.choose_device_for_folder(args.dir)
         with show_counts(print_replay_progress, 0, args.replays) as report:

@@ -18,7 +18,7 @@ def add_arguments(parser: Arguments) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print how many rollouts are planned and done, and their outcomes."""
     from sweep.analysis.stats import cause_lines
-    from sweep.report.headline import headline
+    from sweep.report.headline import study_headline
     from sweep.runs import results, store
 
     stored = store.read_study(args.dir)
@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
         rows = store.read_rows(args.dir, None if exp.study.is_adaptive else ["outcome", "cause"])
         meanings = exp.system.cause_meanings(exp.thresholds)
         if exp.study.is_adaptive:
-            print(headline(rows, exp))
+            print(study_headline(rows, exp))
         print(", ".join(f"{number} {outcome}" for outcome, number in rows["outcome"].value_counts().items()))
         for line in cause_lines(rows["cause"], meanings):
             print(f"  {line}")

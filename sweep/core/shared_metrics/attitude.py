@@ -14,7 +14,7 @@ class Tilt(NamedTuple):
 
 def begin(start: CommonStart) -> Tilt:
     """Return the initial state: no tilt yet."""
-    return Tilt(start.constant(0.0), start.base_quat)
+    return Tilt(start.constant_state(0.0), start.base_quat)
 
 
 def update(state: Tilt, ctx: CommonTick) -> Tilt:

@@ -5,7 +5,7 @@ from sweep.core.metric import Array, CommonRollout, CommonStart, CommonTick, Met
 
 def begin(start: CommonStart) -> Array:
     """Return the initial state: zero peak torque for each group of joints."""
-    return start.constant([0.0] * start.torque_groups)
+    return start.constant_state([0.0] * start.torque_groups)
 
 
 def update(state: Array, ctx: CommonTick) -> Array:

@@ -14,7 +14,7 @@ class Path(NamedTuple):
 
 def begin(start: CommonStart) -> Path:
     """Return the initial state: the base at its start, with a path of length 0."""
-    return Path(start.base_position, start.constant(0.0))
+    return Path(start.base_position, start.constant_state(0.0))
 
 
 def update(state: Path, ctx: CommonTick) -> Path:

@@ -14,7 +14,7 @@ class Slip(NamedTuple):
 
 def begin(start: CommonStart) -> Slip:
     """Return the initial state, in which no foot is loaded."""
-    return Slip(start.init_touchdown_points(), start.constant(0.0))
+    return Slip(start.init_touchdown_points(), start.constant_state(0.0))
 
 
 def update(state: Slip, ctx: CommonTick) -> Slip:

@@ -19,13 +19,13 @@ class Travel(NamedTuple):
 
 def begin(start: CommonStart) -> Travel:
     """Return the initial state: the base at its start, without displacement."""
-    zero = start.constant(0.0)
-    return Travel(start.base_position, start.base_position, zero if start.direction_varies else None, zero)
+    zero = start.constant_state(0.0)
+    return Travel(start.base_position, start.base_position, zero if start.command_direction_varies else None, zero)
 
 
 def update(state: Travel, ctx: CommonTick) -> Travel:
     """Update the base's position, and add its displacement along the commanded direction."""
-    way, moving = ctx.motion_along(state.position)
+    way, moving = ctx.motion_along_command(state.position)
     total = None if state.command_displacement is None else state.command_displacement + way
     return Travel(state.start_position, ctx.base_position[..., -1, :], total, state.motion_time + moving)
 
@@ -38,7 +38,7 @@ def compute(state: Travel, rollout: CommonRollout) -> dict[str, Array]:
     return {
         "distance_m": xp.linalg.norm(between[..., :2], axis=-1),
         "travelled_m": way,
-        "speed_mps": way / xp.maximum(rollout.integral(state.motion_time), 1e-9),
+        "speed_mps": way / xp.maximum(rollout.integrate_sum(state.motion_time), 1e-9),
     }
 
 

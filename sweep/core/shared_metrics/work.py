@@ -10,7 +10,7 @@ def update(state: Array, ctx: CommonTick) -> Array:
 
 def compute(state: Array, rollout: CommonRollout) -> dict[str, Array]:
     """Return the drives' positive work (J), by column."""
-    return {"energy_j": rollout.integral(state)}
+    return {"energy_j": rollout.integrate_sum(state)}
 
 
 METRIC = Metric(

@@ -30,8 +30,8 @@ from sweep.replay.arrows import FORCE_SCALE, FORCE_SHOWN
 from sweep.report import tables
 from sweep.report.figure import StudyFigure
 from sweep.report.figures import list_figures
-from sweep.report.headline import headline
-from sweep.report.labels import column_meaning, heading, outcome_kind
+from sweep.report.headline import study_headline
+from sweep.report.labels import heading, hover_text, outcome_kind
 from sweep.report.page import data
 from sweep.report.page.replay_data import ShownReplay, describe_replays, read_shown_replays
 from sweep.report.page.script import bundle_script, content_security_policy, style_sheet
@@ -136,7 +136,7 @@ def render_page(
     others = [
         style,
         script,
-        data.as_json(about),
+        data.json_for_script_element(about),
         *(one.picture for one in plates),
         *(picture for _, picture, _ in typicals),
     ]
@@ -150,11 +150,11 @@ def render_page(
         policy=content_security_policy(style, script),
         style=Markup(style),
         script=Markup(script),
-        data=Markup(data.as_json(about | ({"name": pairs.name} if pairs else {}))),
+        data=Markup(data.json_for_script_element(about | ({"name": pairs.name} if pairs else {}))),
         streams=Markup("\n".join(replays.streams)),
         rate=rate,
         adaptive=results.exp.study.is_adaptive and not pairs,
-        headline=headline(rows, results.exp) if results.exp.study.is_adaptive else "",
+        headline=study_headline(rows, results.exp) if results.exp.study.is_adaptive else "",
         sure=rate.has_interval,
         independent=independent,
         unit=independent_unit(results.exp.study).name,
@@ -239,7 +239,7 @@ def first_rows_table(rows: pd.DataFrame, exp: Experiment) -> Markup:
     axes = [c for c in tables.readable_columns(rows) if c not in LABEL_COLUMNS]
     columns = ["point_id", *LABEL_COLUMNS, *axes]
     return table_as_html(
-        tables.format_rows(rows[columns], exp), index=True, hints=[column_meaning(c, exp) for c in columns]
+        tables.format_rows(rows[columns], exp), index=True, hints=[hover_text(c, exp) for c in columns]
     )
 
 

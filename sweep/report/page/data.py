@@ -13,19 +13,19 @@ import pandas as pd
 
 from sweep.analysis import sensitivity
 from sweep.analysis.sample import sample_indices
-from sweep.contract.system import split_side
+from sweep.contract.system import split_side_prefix
 from sweep.core.distinct_values import has_several_values
 from sweep.core.files import encode_text
 from sweep.core.json_values import to_json_value
 from sweep.report import analytic_curves
 from sweep.report.figures import effects_figure, metric_thresholds, metrics_with_threshold_first
 from sweep.report.labels import (
-    column_meaning,
+    hover_text,
     kind_meaning,
+    label_and_unit,
     outcome_kind,
     shorten_files,
-    unique_words,
-    words_and_unit,
+    unique_labels,
 )
 from sweep.report.outcome_style import FAILURE_COLOUR, SUCCESS_COLOUR, find_style
 from sweep.runs import refine
@@ -54,19 +54,19 @@ def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
     Returns:
         Plain values, see `About` in `data.js`.
     """
-    rows = results.rows.iloc[sample_places(len(results.rows))]
-    kinds, axes = page_kinds(results), [*results.categorical_columns, *results.numeric_columns]
+    rows = results.rows.iloc[sample_row_indices(len(results.rows))]
+    kinds, axes = outcome_kinds_for_page(results), [*results.categorical_columns, *results.numeric_columns]
     figures = ["margin", "t_cause_s"] if "margin" in rows else []
     figures = [c for c in figures if has_several_values(rows[c])] + metrics_with_threshold_first(results)[:MAX_METRICS]
     bits = COARSE_BITS if len(rows) * len(figures) * 2 > MAX_FINE_BYTES else 15
     coded = [encode_column(rows[c], bits) for c in (*axes, *figures)]
-    judged, words = metric_thresholds(results), unique_words((*axes, *figures), results.exp)
+    judged, words = metric_thresholds(results), unique_labels((*axes, *figures), results.exp)
     columns = [
         {
             "key": c,
             "label": words[c],
-            "unit": words_and_unit(c, results.exp)[1],
-            "path": column_meaning(c, results.exp),
+            "unit": label_and_unit(c, results.exp)[1],
+            "path": hover_text(c, results.exp),
             "axis": c in axes,
             "drawn": c not in (*results.listed_numeric_columns, *results.categorical_columns),
             "diverges": c == "margin",
@@ -82,7 +82,7 @@ def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
         else []
     )
     stages = [*results.stages, *sorted(set(rows["stage"].astype(str)) - {*results.stages, ""})]
-    kind = kind_codes(rows, kinds).astype(np.uint8)
+    kind = outcome_kind_indices(rows, kinds).astype(np.uint8)
     stage = 1 + pd.Index(stages).get_indexer(pd.Index(rows["stage"].astype(str)))  # 0: there is none
     ids = b"".join(bytes.fromhex(f"{one[:POINT_ID_DIGITS]:0<{POINT_ID_DIGITS}}") for one in rows["point_id"])
     blocks = [kind.tobytes(), stage.astype(np.uint8).tobytes(), ids, *(block for _, block in coded)]
@@ -106,23 +106,23 @@ def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
     }
 
 
-def sample_places(number: int) -> np.ndarray:
+def sample_row_indices(number: int) -> np.ndarray:
     """Indices of the rows that a page stores: all, or a random sample of too many."""
     return sample_indices(number, SAMPLE_SIZE if number > MAX_ROWS else number)
 
 
-def as_json(content: Any) -> str:
+def json_for_script_element(content: Any) -> str:
     """Format JSON for a script element; no text in it can end the element or begin a comment."""
     text = json.dumps(to_json_value(content), separators=(",", ":"), ensure_ascii=True, allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def kind_codes(rows: pd.DataFrame, kinds: list[dict[str, Any]]) -> np.ndarray:
+def outcome_kind_indices(rows: pd.DataFrame, kinds: list[dict[str, Any]]) -> np.ndarray:
     """Index of each row's kind in `kinds`."""
     return pd.Index([one["key"] for one in kinds]).get_indexer(pd.Index(outcome_kind(rows)))
 
 
-def page_kinds(results: Results) -> list[dict[str, Any]]:
+def outcome_kinds_for_page(results: Results) -> list[dict[str, Any]]:
     """Kinds of outcomes that occur in a study, each with its label, colour and shape on the page."""
     counts, system = outcome_kind(results.rows).value_counts(), results.exp.system
     known = [name for name in ("success", *system.causes) if name in counts]
@@ -172,7 +172,7 @@ def split_bytes(values: np.ndarray) -> bytes:
 def limit_curves(results: Results, rows: pd.DataFrame) -> Any:
     """Yield the analytic limits of `study.theory` over pairs of parameters."""
     for theory in results.exp.study.theory:
-        for of in [c for c in results.numeric_columns if split_side(c)[1] == theory.of]:
+        for of in [c for c in results.numeric_columns if split_side_prefix(c)[1] == theory.of]:
             for along in [c for c in results.numeric_columns if c != of]:
                 found = analytic_curves.limit_curve(theory, results.exp, rows, along)
                 yield {
@@ -254,7 +254,7 @@ def cell_effects(results: Results) -> dict[str, float] | None:
 
 def count_densities(results: Results, kinds: list[dict[str, Any]]) -> Any:
     """Yield, for a few pairs of parameters, how many rows of each kind lie in each bin, counted over all rows."""
-    kind = kind_codes(results.rows, kinds)
+    kind = outcome_kind_indices(results.rows, kinds)
     pairs = [(x, y) for k, x in enumerate(results.numeric_columns) for y in results.numeric_columns[k + 1 :]][
         :MAX_DENSITY_PAIRS
     ]

@@ -10,7 +10,7 @@ from sweep.core.errors import InputError
 from sweep.core.files import encode_text
 from sweep.replay.motion import thin_motion
 from sweep.report import replays
-from sweep.report.page.data import sample_places
+from sweep.report.page.data import sample_row_indices
 from sweep.runs.results import Results
 
 MAX_THINNING = 4  # frames of which one is kept at least, where all of them do not fit
@@ -50,7 +50,7 @@ def describe_replays(results: Results, shown: Iterable[ShownReplay], room: int) 
         shown: replays, the most important first.
         room: characters that their states may take; beyond it they get fewer frames, and then some are left out.
     """
-    places = {int(place): k for k, place in enumerate(sample_places(len(results.rows)))}
+    places = {int(place): k for k, place in enumerate(sample_row_indices(len(results.rows)))}
     shown = thin_to_room(list(shown), room)
     about, streams, models, left_out, size = [], [], {}, 0, 0
     for place, row, replay, title in shown:

@@ -36,8 +36,8 @@ def content_security_policy(style: str, script: str) -> str:
     """
     rules = {
         "default-src": "'none'",
-        "script-src": hash_source(script),
-        "style-src": hash_source(style),
+        "script-src": content_security_hash(script),
+        "style-src": content_security_hash(style),
         "style-src-attr": "'unsafe-inline'",
         "img-src": "data:",
         "base-uri": "'none'",
@@ -46,6 +46,6 @@ def content_security_policy(style: str, script: str) -> str:
     return "; ".join(f"{name} {value}" for name, value in rules.items())
 
 
-def hash_source(text: str) -> str:
+def content_security_hash(text: str) -> str:
     """Hash by which a content security policy allows a script or style."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

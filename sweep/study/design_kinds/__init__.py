@@ -53,15 +53,17 @@ def add_designs(module: ModuleType) -> None:
     DESIGN_BY_KIND.update(ordered)
 
 
-def own_settings(cls: type[Design]) -> dict[str, "dataclasses.Field[Any]"]:
+def kind_specific_settings(cls: type[Design]) -> dict[str, "dataclasses.Field[Any]"]:
     """Return the settings of a kind that not all kinds have, by name."""
     common = {member.name for member in dataclasses.fields(Design)}
     return {member.name: member for member in dataclasses.fields(cls) if member.name not in common}
 
 
 def _check_settings(module: ModuleType, kind: str, cls: type[Design]) -> None:
-    known = {name: member for other in DESIGN_BY_KIND.values() for name, member in own_settings(other).items()}
-    for name, member in own_settings(cls).items():
+    known = {
+        name: member for other in DESIGN_BY_KIND.values() for name, member in kind_specific_settings(other).items()
+    }
+    for name, member in kind_specific_settings(cls).items():
         if member.default is dataclasses.MISSING:
             raise InputError(f"module {module.__name__}: setting {name} of design {kind} has no default")
         if name in known and (member.type, member.default) != (known[name].type, known[name].default):
@@ -85,18 +87,18 @@ def list_kinds(matches: Callable[[type[Design]], bool]) -> list[str]:
     return [kind for kind, cls in DESIGN_BY_KIND.items() if matches(cls)]
 
 
-def owners_of_settings() -> dict[str, list[str]]:
+def kinds_by_setting() -> dict[str, list[str]]:
     """Return the kinds that have each setting that not all kinds have, by its name."""
     found: dict[str, list[str]] = {}
     for kind, cls in DESIGN_BY_KIND.items():
-        for name in own_settings(cls):
+        for name in kind_specific_settings(cls):
             found.setdefault(name, []).append(kind)
     return found
 
 
 def make_schema() -> type:
     """Make the Hydra schema of `study.design`: a frozen dataclass with the settings of all kinds."""
-    own = {name: member for cls in DESIGN_BY_KIND.values() for name, member in own_settings(cls).items()}
+    own = {name: member for cls in DESIGN_BY_KIND.values() for name, member in kind_specific_settings(cls).items()}
     common = {member.name: member for member in dataclasses.fields(Design)}
     grid, num, correlation = (common[name] for name in ("grid", "num", "correlation"))
     members = [(member.name, member.type, member.default) for member in (num, *own.values(), correlation)]

@@ -20,9 +20,9 @@ from sweep.contract.system import (
     AuditVariant,
     ClassesByKind,
     ColumnValues,
-    Nominal,
     Parameter,
-    split_side,
+    SystemSetup,
+    split_side_prefix,
     split_world_and_belief,
 )
 from sweep.core.errors import InputError, require_choice, suggest
@@ -116,7 +116,7 @@ class Hexapod:
 
         return PLOTS
 
-    def state_columns(self, trace: Trace) -> dict[str, np.ndarray]:
+    def state_values_by_column(self, trace: Trace) -> dict[str, np.ndarray]:
         """Return the columns that can be recorded over time, at every sample of a trace."""
         names = "qpos", "qvel", "joint_torque", "foot_force"
         record = {name: np.moveaxis(getattr(trace, name), 0, -1) for name in names}
@@ -157,7 +157,7 @@ class Hexapod:
 
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:
         """Return the field of a case, of engine settings, or of a plan's number, see `System`."""
-        side, path = split_side(column)
+        side, path = split_side_prefix(column)
         if path.startswith("plan."):
             if side == "world":
                 raise InputError(f"axis {column} varies nothing: plans depend on the belief only")
@@ -170,12 +170,12 @@ class Hexapod:
 
     def nominal(self, column: str, settings: EngineSettings) -> Any:
         """Return the value in the case, engine settings or plan, see `System`."""
-        if split_side(column)[1].startswith("plan."):
+        if split_side_prefix(column)[1].startswith("plan."):
             return self.parameter(column, settings).default
         return getattr(*self._owner(column, settings))
 
     def _owner(self, column: str, settings: EngineSettings) -> tuple[Any, str]:
-        side, path = split_side(column)
+        side, path = split_side_prefix(column)
         owner: Any = self.case
         groups = [*self.groups] + (["engine"] if side == "both" else [])
         *above, last = path.split(".")
@@ -198,7 +198,7 @@ class Hexapod:
         yield from flatten_case(self.case, "")
         yield from _plan_inputs(self.case, plan_table.plan_content(self.case))
 
-    def default_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
+    def inputs_left_out_of_point_ids(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """Yield defaults of inputs that earlier versions did not have: control, load errors, numbers of the plan.
 
         Point ids of earlier rows thus stay valid.
@@ -240,8 +240,8 @@ class Hexapod:
         """Raise `InputError` for the first row whose robot or obstacle is too small for MuJoCo, whatever the engine."""
         from sweep.models import scene  # which imports MuJoCo
 
-        world = [c for c in table.columns if split_side(c)[0] != "belief"]
-        varied = [c for c in world if split_side(c)[1].startswith(("robot.", "obstacle."))]
+        world = [c for c in table.columns if split_side_prefix(c)[0] != "belief"]
+        varied = [c for c in world if split_side_prefix(c)[1].startswith(("robot.", "obstacle."))]
         sizes = [c for c in varied if table[c].dtype.kind == "f"]
         if not sizes:
             return
@@ -250,7 +250,7 @@ class Hexapod:
         kinds = [part for _, part in distinct.groupby(names)] if names else [distinct]
         for part in (kind.iloc[k : k + ROWS_PER_CHECK] for kind in kinds for k in range(0, len(kind), ROWS_PER_CHECK)):
             words = {name: part[name].iloc[0] for name in names}
-            case, _ = self.make_sides({**words, **{name: part[name].to_numpy() for name in sizes}})
+            case, _ = self.make_world_and_belief({**words, **{name: part[name].to_numpy() for name in sizes}})
             for _, row in part[scene.find_too_light_bodies(case)].iterrows():
                 said = ", ".join(f"{name} = {row[name]:g}" for name in sizes)
                 raise InputError(f"{said} is not allowed: a body's mass or inertia is too small for MuJoCo")
@@ -269,15 +269,15 @@ class Hexapod:
                 f"contact.damping / contact.stiffness = {damping:g} N s/m / {stiffness:g} N/m"
             )
 
-    def cpu_threshold(self, settings: EngineSettings) -> int:
+    def max_rollouts_for_cpu(self, settings: EngineSettings) -> int:
         """Return a full tile of the fused compiler for each core, see `System`."""
         from sweep.fused.llvm import TILE_LANES  # whose library what is wrong need not wait for
 
-        return TILE_LANES * devices.count_cores() if settings.fusible else 0
+        return TILE_LANES * devices.count_cores() if settings.is_fusible else 0
 
     def explain_inactive_column(self, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
         """Explain parameters that only the world, only the belief or only another engine uses; see `System`."""
-        side, path = split_side(column)
+        side, path = split_side_prefix(column)
         if side == "world" and path.startswith(("manoeuvre.", "control.")):
             return "plans depend on the belief only"
         if other := next(
@@ -294,7 +294,7 @@ class Hexapod:
             found |= (rows[column] if column else self.nominal(path, settings)) != none
         return found
 
-    def make_sides(self, values: ColumnValues) -> tuple[Case, Case]:
+    def make_world_and_belief(self, values: ColumnValues) -> tuple[Case, Case]:
         """Make the cases of world and belief, see `System`."""
         sides = split_world_and_belief(values).values()
         world, belief = (
@@ -302,11 +302,11 @@ class Hexapod:
         )
         return world, belief
 
-    def with_delay_buffer(self, table: "pd.DataFrame") -> "Hexapod":
+    def allocate_delay_buffers(self, table: "pd.DataFrame") -> "Hexapod":
         """Return this system with sensor buffers for the longest delay in a points table."""
 
         def of(name: str) -> Any:
-            columns = [c for c in table.columns if split_side(c)[1] == f"noise.{name}"]
+            columns = [c for c in table.columns if split_side_prefix(c)[1] == f"noise.{name}"]
             return table[columns].max(axis=1) if columns else getattr(self.case.noise, name)
 
         longest = np.max(np.maximum(of("delay") + of("load_delay"), of("body_delay")))
@@ -338,7 +338,7 @@ class Hexapod:
         return {cause.metric: outcome.threshold_value(cause, limits) for cause in outcome.CAUSES if cause.threshold}
 
 
-def build_nominal(values: Mapping[str, Any], kinds: ClassesByKind) -> Nominal:
+def build_nominal(values: Mapping[str, Any], kinds: ClassesByKind) -> SystemSetup:
     """Build the robot's system from a plain configuration, see `sweep.systems.SystemKind.build_nominal`."""
     classes = {"engine": EngineSettings, "outcome": OutcomeThresholds}
     classes |= {name: group.load() for name, group in GROUPS.items() if group.in_case and group.has_single_class}
@@ -358,7 +358,7 @@ def build_nominal(values: Mapping[str, Any], kinds: ClassesByKind) -> Nominal:
         part = getattr(case, group)
         for member in dataclasses.fields(part):
             _check_size(f"{group}.{member.name}", member, getattr(part, member.name))
-    return Nominal(Hexapod(case, searched_ranges), settings, outcome.resolve_thresholds(given, case))
+    return SystemSetup(Hexapod(case, searched_ranges), settings, outcome.resolve_thresholds(given, case))
 
 
 def plan_numbers(file: str, read: Callable[[str], str]) -> dict[str, float | str]:
@@ -422,7 +422,7 @@ def _suits(obstacle: type[Obstacle], manoeuvre: Manoeuvre) -> bool:
 
 def _select_paths(table: "pd.DataFrame", paths: Sequence[str]) -> "pd.DataFrame":
     """Select the columns of some paths on either side; of a table that varies none of them, one row stands for all."""
-    columns = [c for c in table.columns if split_side(c)[1] in paths]
+    columns = [c for c in table.columns if split_side_prefix(c)[1] in paths]
     return table[columns] if columns else table.iloc[:1]
 
 
@@ -443,7 +443,7 @@ def _format_ends(low: float, high: float) -> str:
 
 def _check_size(column: str, member: Parameter, value: Any) -> None:
     """Raise `InputError` where a length is so far above its nominal value that its unit must be wrong."""
-    group, nominal = split_side(column)[1].partition(".")[0], member.default
+    group, nominal = split_side_prefix(column)[1].partition(".")[0], member.default
     if group not in SIZE_GROUPS or member.metadata.get("unit") != "m" or not isinstance(nominal, float):
         return
     if nominal >= MIN_SCALED_LENGTH_M and value > MAX_SIZE_RATIO * nominal:

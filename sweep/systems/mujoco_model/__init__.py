@@ -25,9 +25,9 @@ from sweep.contract.system import (
     AuditVariant,
     ClassesByKind,
     ColumnValues,
-    Nominal,
     Parameter,
-    split_side,
+    SystemSetup,
+    split_side_prefix,
     split_world_and_belief,
 )
 from sweep.core.conditions import UNTRUSTED, Condition, parse_conditions
@@ -133,7 +133,7 @@ class MujocoModel(ModelSpec):
         tracked = tracking.tracking_columns(self.tracked_commands)
         return (*MetricAccumulator(self).columns, *self.controller.metric_meanings, *tracked)
 
-    def state_columns(self, trace: Trace) -> dict[str, np.ndarray]:
+    def state_values_by_column(self, trace: Trace) -> dict[str, np.ndarray]:
         """Return positions and velocities at every sample of a trace, by column, see `System`."""
         return self.time_series_columns(trace.qpos, trace.qvel) | dict(trace.columns)
 
@@ -167,7 +167,7 @@ class MujocoModel(ModelSpec):
 
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:
         """Return the field of a model's number, or of a controller, noise or engine parameter, see `System`."""
-        path = split_side(column)[1]
+        path = split_side_prefix(column)[1]
         require_choice(
             root := path.partition(".")[0], (*self.groups, "engine"), f"axis {column} is not allowed: {root}"
         )
@@ -219,11 +219,11 @@ class MujocoModel(ModelSpec):
             if parts:
                 yield name, repr([tuple(one) for one in parts])
 
-    def cpu_threshold(self, settings: EngineSettings) -> int:
+    def max_rollouts_for_cpu(self, settings: EngineSettings) -> int:
         """Return 0: no number of rollouts is known below which a CPU is faster than a GPU."""
         return 0
 
-    def default_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
+    def inputs_left_out_of_point_ids(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """Yield varied numbers of the model at their nominal values, which do not count for point ids."""
         yield from self._varied_numbers(paths)
         yield "noise.action_delay", 0.0
@@ -249,7 +249,9 @@ class MujocoModel(ModelSpec):
                 raise InputError(f"{path} = {name} is not allowed: an axis of the study lists the files in its values")
         shaping = [c for c in columns if self.parameter(c, settings).metadata["role"] != "quantity"]
         distinct: list[Any] = table[shaping].drop_duplicates().to_dict("records") if shaping else [{}]
-        varied = {path for side, path in map(split_side, columns) if side != "belief" and path.startswith("model.")}
+        varied = {
+            path for side, path in map(split_side_prefix, columns) if side != "belief" and path.startswith("model.")
+        }
         grounds = {path for path in varied if terrain.is_terrain_path(path)}
         varied -= {*grounds, *FILE_PATHS}
         self._check_terrain(table, grounds)
@@ -261,14 +263,14 @@ class MujocoModel(ModelSpec):
             ways = {c.removeprefix("engine."): value for c, value in values.items() if c.startswith("engine.")}
             system = self.with_files(values)
             system.require_parameters(columns if system is not self else (), settings)
-            made = self.make_engine(replace(settings, **ways), *self.make_sides(values), limits=None)
+            made = self.make_engine(replace(settings, **ways), *self.make_world_and_belief(values), limits=None)
             for line in made.check_varied([*fields.select_quantities(system.model, dict.fromkeys(varied)), *grounds]):
                 print_note(line)
             new = {(path, system.file_value(path)) for path in FILE_PATHS[:2]} - started
             if new and system is not self:
                 made.check_start()
             started |= new
-        self.make_engine(settings, *self.make_sides({}), limits=None).check_start()
+        self.make_engine(settings, *self.make_world_and_belief({}), limits=None).check_start()
 
     def require_parameters(self, columns: Iterable[str], settings: EngineSettings) -> None:
         """Raise `InputError` where this system lacks a parameter that a study varies.
@@ -323,16 +325,16 @@ class MujocoModel(ModelSpec):
         """Return which rows draw random numbers: those with sensor errors, and all rows if the controller may draw."""
         return np.ones(len(rows), dtype=bool)
 
-    def make_sides(self, values: ColumnValues) -> tuple[SideValues, SideValues]:
+    def make_world_and_belief(self, values: ColumnValues) -> tuple[SideValues, SideValues]:
         """Make the values of world and belief, by path, see `System`."""
         world, belief = (SideValues(tuple(chosen.items())) for chosen in split_world_and_belief(values).values())
         return world, belief
 
-    def with_delay_buffer(self, table: "pd.DataFrame") -> "MujocoModel":
+    def allocate_delay_buffers(self, table: "pd.DataFrame") -> "MujocoModel":
         """Return this system with an observation buffer for the longest delay of a table, see `System`."""
 
         def longest(path: str) -> int:
-            varied = [table[c].max() for c in table.columns if split_side(c)[1] == path]
+            varied = [table[c].max() for c in table.columns if split_side_prefix(c)[1] == path]
             return math.ceil(max([self.nominal_value(path), *varied]))
 
         terms = [longest(path) for path in self.parameters if path.startswith("noise.") and path.count(".") > 1
@@ -392,7 +394,7 @@ class MujocoModel(ModelSpec):
         return self.causes.get(str(row["cause"]), "")
 
 
-def build_nominal(values: Mapping[str, Any], kinds: ClassesByKind) -> Nominal:
+def build_nominal(values: Mapping[str, Any], kinds: ClassesByKind) -> SystemSetup:
     """Build the system of a MuJoCo model from a plain configuration, see `sweep.systems.SystemKind.build_nominal`."""
     about = _parse_model(values["model"])
     settings, usual = build(ModelEngineSettings, values["engine"], "engine"), ModelEngineSettings()
@@ -431,7 +433,7 @@ def build_nominal(values: Mapping[str, Any], kinds: ClassesByKind) -> Nominal:
             about.terrain, {name: known[terrain.PREFIX + name] for name in terrain_heights.NUMBERS}
         )
     settings, told = replace(settings, control_period=about.period), {**values["model"], "content": content}
-    return Nominal(system, settings, conditions, {"model": told})
+    return SystemSetup(system, settings, conditions, {"model": told})
 
 
 def _flatten(given: Mapping[str, Any], path: str = "") -> dict[str, Any]:

@@ -43,7 +43,7 @@ class MetricAccumulator:
         """
         start = ModelStart(self._parts, qpos)
         states = tuple(metric.begin(start) for metric in self._metrics)
-        return ModelMetricStates(start.constant(0.0), qpos, qpos, qvel, states)
+        return ModelMetricStates(start.constant_state(0.0), qpos, qpos, qvel, states)
 
     @np.errstate(invalid="ignore", over="ignore")
     def update(

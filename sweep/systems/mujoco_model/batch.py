@@ -185,5 +185,5 @@ def count_ticks(spec: ModelSpec, duration: Any) -> np.ndarray:
 def varied_model_fields(begun: BatchStart) -> dict[str, np.ndarray]:
     """Return the fields in which the models of a batch differ from the nominal model, (n, ...): written and derived
     ones."""
-    model, found = begun.batch.model, mujoco_versions.batched_fields(begun.batch, begun.written)
+    model, found = begun.batch.model, mujoco_versions.differing_model_fields(begun.batch, begun.written)
     return {name: rows for name, rows in sorted(found.items()) if (rows != fields.field_values(model, name)).any()}

@@ -16,7 +16,7 @@ import numpy as np
 from mujoco.batch import SimulationError
 
 from sweep.backends import devices
-from sweep.contract.engine import Metrics, SideMaker, TimeSeriesRequest, Trace, count_substeps, single_joints
+from sweep.contract.engine import Metrics, SideMaker, TimeSeriesRequest, Trace, count_substeps, hinge_and_slide_joints
 from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
 from sweep.fused.dependence import find_unread_columns
@@ -181,8 +181,8 @@ class ModelEngine:
 
 
 def joint_moment_arms(model: mujoco.MjModel) -> np.ndarray:
-    """Return the moment arms (nu, J) from the forces of actuators to the `single_joints` that they drive."""
-    joints, kind = single_joints(model), int(mujoco.mjtTrn.mjTRN_JOINT)
+    """Return the moment arms (nu, J) from the forces of actuators to the `hinge_and_slide_joints` that they drive."""
+    joints, kind = hinge_and_slide_joints(model), int(mujoco.mjtTrn.mjTRN_JOINT)
     driven = (model.actuator_trnid[:, :1] == joints) & (model.actuator_trntype[:, None] == kind)
     return driven * model.actuator_gear[:, :1]
 

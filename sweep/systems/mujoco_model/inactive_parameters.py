@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from sweep.contract.engine_settings import EngineSettings
-from sweep.contract.system import split_side
+from sweep.contract.system import split_side_prefix
 from sweep.systems.mujoco_model import fields, terrain, terrain_heights
 from sweep.systems.mujoco_model.model_spec import PHYSICAL, ModelSpec
 
@@ -16,7 +16,7 @@ SITE_TYPE, FREE_JOINT = mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtJoint.mjJNT_FREE
 
 def explain_inactive(spec: ModelSpec, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
     """Explain why a column cannot change anything, if the model proves it; see `System.explain_inactive_column`."""
-    side, path = split_side(column)
+    side, path = split_side_prefix(column)
     root = path.partition(".")[0]
     if root == "noise":
         return "sensor errors are part of the world" if side == "belief" else ""

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from sweep.contract.engine import single_joints
+from sweep.contract.engine import hinge_and_slide_joints
 from sweep.contract.system import Parameter
 from sweep.core.parameters import quantity
 
@@ -53,7 +53,7 @@ class StartOffsets(NamedTuple):
                 mujoco.mju_mulQuat(found, qpos[row, base + 3 : base + 7].copy(), turn)
                 qpos[row, base + 3 : base + 7] = found
             qvel[:, dof : dof + 6] += self.base[:, 6:]
-        joints = single_joints(model)
+        joints = hinge_and_slide_joints(model)
         if self.positions.any():
             places = model.jnt_qposadr[joints]
             low, high = np.moveaxis(limits[:, joints], -1, 0)
@@ -74,14 +74,14 @@ def start_parameters(model: mujoco.MjModel, has_base: bool) -> dict[str, Paramet
     units = (BASE_UNITS if has_base else {}) | JOINT_UNITS
     found = {f"{START}.{name}": quantity(0.0, unit) for name, unit in units.items()}
     found |= {f"{RANDOM}.{name}": quantity(0.0, unit, at_least=0) for name, unit in units.items()}
-    for name in filter(None, (model.joint(k).name for k in single_joints(model))):
+    for name in filter(None, (model.joint(k).name for k in hinge_and_slide_joints(model))):
         found |= {f"{JOINT}.{name}.position": quantity(0.0, "rad"), f"{JOINT}.{name}.velocity": quantity(0.0, "rad/s")}
     return found
 
 
 def count_random_numbers(model: mujoco.MjModel) -> int:
     """Count the random numbers that the initial state of a rollout takes."""
-    return len(BASE_UNITS) + 2 * len(single_joints(model))
+    return len(BASE_UNITS) + 2 * len(hinge_and_slide_joints(model))
 
 
 def make_offsets(model: mujoco.MjModel, values: Mapping[str, Any], luck: np.ndarray) -> StartOffsets:
@@ -92,7 +92,7 @@ def make_offsets(model: mujoco.MjModel, values: Mapping[str, Any], luck: np.ndar
         values: Numbers by path, see `start_parameters`; each a number, or an array (n,).
         luck: Even random numbers from -1 to 1, (n, k): see `count_random_numbers`.
     """
-    n, joints = len(luck), single_joints(model)
+    n, joints = len(luck), hinge_and_slide_joints(model)
 
     def rows(path: str) -> np.ndarray:
         return np.broadcast_to(np.asarray(values.get(path, 0.0), float), (n,))

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from sweep.contract.engine import single_joints
+from sweep.contract.engine import hinge_and_slide_joints
 from sweep.core.errors import InputError, require_choice
 from sweep.core.project import read_yaml
 from sweep.core.rotations import conjugate, rotate
@@ -229,7 +229,7 @@ def _joint_names(error_prefix: str, names: Any, model: mujoco.MjModel) -> list[s
     known = {model.joint(j).name: j for j in range(model.njnt)}
     for name in names:
         require_choice(name, [one for one in known if one], f"{error_prefix}: joint {name}")
-        if known[name] not in single_joints(model):
+        if known[name] not in hinge_and_slide_joints(model):
             raise InputError(f"{error_prefix}: joint {name} is not allowed: a hinge or a slide")
     if not len(names):
         raise InputError(f"{error_prefix} needs the key joints: the model has no actuators of joints")

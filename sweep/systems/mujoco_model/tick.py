@@ -89,7 +89,7 @@ class ModelStart(NamedTuple):
     parts: ModelPartIndices
     qpos: Array  # (n, nq)
 
-    direction_varies = False
+    command_direction_varies = False
 
     @property
     def torque_groups(self) -> int:
@@ -106,7 +106,7 @@ class ModelStart(NamedTuple):
         """Return the orientation (n, 4) of the base, the first free joint, at the start, body to world."""
         return self.qpos[:, self.parts.base_quat]
 
-    def constant(self, value: Any) -> Array:
+    def constant_state(self, value: Any) -> Array:
         """Return a constant for each rollout, floats in the rollouts' precision."""
         xp, value = array_namespace(self.qpos), np.asarray(value)
         dtype = self.qpos.dtype if value.dtype.kind == "f" else value.dtype
@@ -115,7 +115,9 @@ class ModelStart(NamedTuple):
     def init_touchdown_points(self) -> "GroundTouchdownPoints":
         """Return the touchdown points before any foot is loaded."""
         feet = self.parts.feet_count
-        return GroundTouchdownPoints(self.constant(np.zeros((feet, 2))), self.constant(np.zeros(feet, bool)))
+        return GroundTouchdownPoints(
+            self.constant_state(np.zeros((feet, 2))), self.constant_state(np.zeros(feet, bool))
+        )
 
 
 class ModelTick:
@@ -188,7 +190,7 @@ class ModelTick:
 
     @property
     def positive_work(self) -> Array:
-        """Positive power (n,) of the actuators in W, summed over physics steps; `ModelRollout.integral` gives J."""
+        """Positive power (n,) of the actuators in W, summed over physics steps."""
         return array_namespace(self.power).maximum(self.power, 0.0).sum(axis=(1, 2))
 
     @cached_property
@@ -196,7 +198,7 @@ class ModelTick:
         """Load (n, s, feet) of each foot in N."""
         return self.steps["sensordata"][..., self.parts.foot_sensors]
 
-    def motion_along(self, before: Array) -> tuple[None, int]:
+    def motion_along_command(self, before: Array) -> tuple[None, int]:
         """Return no way, since the direction never changes, and the number of steps."""
         return None, self.number
 
@@ -246,7 +248,7 @@ class ModelRollout(NamedTuple):
         """Weight of each model (N)."""
         return self.mass * GRAVITY
 
-    def integral(self, total: np.ndarray) -> np.ndarray:
+    def integrate_sum(self, total: np.ndarray) -> np.ndarray:
         """Return the integral over time of what was summed over physics steps."""
         return total * self.parts.timestep
 

@@ -23,7 +23,7 @@ def compute(state: CollisionTotals, rollout: ModelRollout) -> dict[str, Array]:
     """Return the share of steps with an unwanted contact, and the impulse (N s), by column."""
     return {
         "collision_share": rollout.share(state.steps_with_touch),
-        "collision_impulse_ns": rollout.integral(state.load),
+        "collision_impulse_ns": rollout.integrate_sum(state.load),
     }
 
 

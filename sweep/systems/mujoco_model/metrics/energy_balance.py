@@ -22,7 +22,7 @@ def update(state: AppliedWork, ctx: ModelTick) -> AppliedWork:
 
 def compute(state: AppliedWork, rollout: ModelRollout) -> dict[str, Array]:
     """Return the growth of mechanical energy beyond the work of actuators and pushes (J), by column."""
-    return {"energy_gained_j": rollout.energy_gain - rollout.integral(state.actuator_power_sum) - state.push_work}
+    return {"energy_gained_j": rollout.energy_gain - rollout.integrate_sum(state.actuator_power_sum) - state.push_work}
 
 
 METRIC = Metric(
