@@ -36,7 +36,7 @@ def speed(name: str, width: int) -> str:
     walls = []
     for k in range(SECONDS):
         start = time.perf_counter()
-        carry, _ = programs.chunk(world, belief, plans, carry, k * engine._chunk_ticks, None)
+        carry, _ = programs.simulate_chunk(world, belief, plans, carry, k * engine._chunk_ticks, None)
         jax.block_until_ready(carry)
         walls.append(time.perf_counter() - start)
     rate = settings.width / settings.time_step / np.median(walls[1:])

@@ -114,7 +114,7 @@ def promised(time: np.ndarray, case: Case, aside: BallAside) -> np.ndarray:
 
     The mass centre goes by (3.3.7), and its height is the base's; friction against rolling turns with the speed.
     """
-    ball, mass = case.obstacle_as(Ball), float(total_mass(case.robot))
+    ball, mass = case.obstacle_of_type(Ball), float(total_mass(case.robot))
     plan = aside.plan(case)
     over = (
         float(lateral_gain(case, plan, aside.period))
@@ -134,7 +134,7 @@ def promised(time: np.ndarray, case: Case, aside: BallAside) -> np.ndarray:
 
 def draw_way(trace: Trace) -> Figure:
     """Fig. 3.3.8: heights of feet and of the base's ends, speed of the ball; where the base is on it; normal forces."""
-    robot, radius = trace.world.robot, trace.world.obstacle_as(Ball).radius
+    robot, radius = trace.world.robot, trace.world.obstacle_of_type(Ball).radius
     position, quat, ball = trace.qpos[:, :3], trace.qpos[:, 3:7], trace.qpos[:, -7:-4]
     nose = 0.5 * robot.body_length * np.asarray(matrix(jnp.asarray(quat)))[:, 2, 0]
     off, out = position - ball, trace.foot_position - ball[:, None]

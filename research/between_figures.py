@@ -46,7 +46,7 @@ def begins(trace: Trace, word: str) -> float:
 
 def ledges(trace: Trace) -> Figure:
     """Feet and mass centre along the way, from ledge to ball and from ball to ledge; the speed of the ball."""
-    obstacle = trace.world.obstacle_as(Ledges)
+    obstacle = trace.world.obstacle_of_type(Ledges)
     figure = new_figure(4.6)
     axes = figure.subplot_mosaic("ab;cc", height_ratios=[3, 2])
     centre, ball, time = mass_centres(trace, slice(None)), trace.qpos[:, -7:-4], trace.time
@@ -97,7 +97,7 @@ def balls(trace: Trace) -> Figure:
 
 def moments(trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of feet about the lowest points of the two balls, forward (N m), while the robot goes over, and the times (s)."""
-    radius, found = trace.world.obstacle_as(Ball).radius, []
+    radius, found = trace.world.obstacle_of_type(Ball).radius, []
     for k in (0, 1):
         ball = trace.qpos[:, [-14 + 7 * k, -12 + 7 * k]]
         arm = trace.foot_position[:, :, ::2] - ball[:, None]
@@ -119,7 +119,7 @@ def rolled(trace: Trace, grip: np.ndarray, mass: np.ndarray) -> np.ndarray:
     friction between them, mu (T_1 - T_2), and that of rolling.
     """
     first, second, time = moments(trace)
-    ball, load = trace.world.obstacle_as(Ball), total_mass(trace.world.robot)
+    ball, load = trace.world.obstacle_of_type(Ball), total_mass(trace.world.robot)
     speed, way, far = np.zeros_like(grip), np.zeros_like(grip), np.zeros_like(grip)
     for one, two, step in zip(first, second, np.diff(time, prepend=time[0]), strict=True):
         resists = grip * max(one - two, 0.0) + ball.rolling_friction * (2 * mass + load) * GRAVITY
@@ -138,7 +138,7 @@ def grip_map(found: Results, trace: Trace) -> Figure:
         figure = maps.success_map(found.rows, found.stored, names, TITLE)
         axes = figure.axes[0]
     grip, mass = (np.sort(found.rows[name].unique()) for name in names)
-    far = rolled(trace, *np.meshgrid(grip, mass)) / trace.world.obstacle_as(Ball).radius
+    far = rolled(trace, *np.meshgrid(grip, mass)) / trace.world.obstacle_of_type(Ball).radius
     axes.clabel(axes.contour(grip, mass, far, levels=WAYS, colors=DARK_INK, linewidths=1), fmt="{:g} R".format)
     axes.set(xlabel="friction between the balls, of that of the contact", ylabel="mass of each [kg]")
     return figure

@@ -81,7 +81,7 @@ def events() -> Iterator[list[str]]:
            "torque (N m)"]  # fmt: skip
     exp, trace = told("scenario=ladder_climb")
     case, manoeuvre = exp.case, exp.case.manoeuvre
-    plan = jax.jit(manoeuvre.route)(case)
+    plan = jax.jit(manoeuvre.plan_without_forces)(case)
     planned = jax.jit(manoeuvre.force_plan)(case, plan).optimum
     weight = float(GRAVITY * total_mass(case.robot))
     for event, (ours, to) in EVENTS.items():

@@ -21,7 +21,7 @@ import numpy as np
 
 from sweep.config.experiment import compose
 from sweep.controllers import tracker
-from sweep.controllers.layers import Feedforward
+from sweep.controllers.layers import ForceFeedforward
 from sweep.controllers.observation import Observation
 from sweep.core.errors import InputError
 from sweep.fused import eager
@@ -159,7 +159,9 @@ def _with_some_forces(case: Case, plan: Any, random: np.random.Generator) -> Any
         return plan
     stages = len(plan.names)
     offset, inward = ERRORS * random.normal(size=(stages, KNOTS, 6, 3)), random.normal(size=(stages, 6, 3))
-    forces = Feedforward(offset, np.zeros(stages), inward, np.float64(manoeuvre.creep), np.float64(manoeuvre.anchoring))
+    forces = ForceFeedforward(
+        offset, np.zeros(stages), inward, np.float64(manoeuvre.creep), np.float64(manoeuvre.anchoring)
+    )
     return plan.with_layer(jax.tree.map(jnp.asarray, forces))
 
 

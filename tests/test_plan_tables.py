@@ -57,7 +57,7 @@ def test_a_number_that_varies_moves_its_foothold_and_is_traced():
 
     @jax.jit
     def foothold(belief):
-        _, stages = belief.manoeuvre.route(belief)
+        _, stages = belief.manoeuvre.route_stages(belief)
         return next(s.swing[5] for s in stages if s.name == "roof.front.on")
 
     moved = [foothold(exp.system.make_world_and_belief({f"belief.{AHEAD}": value})[1]) for value in (start, start + by)]

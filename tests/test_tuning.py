@@ -20,13 +20,13 @@ from sweep.planning.plan_table import evaluate_plan, numbers_by_path
 from sweep.planning.score import (
     DIFFERENCE_SHARE,
     MAX_DEFICIT,
-    Aim,
-    Score,
+    MarginAim,
+    PlanScore,
     independent_groups,
     local_minima,
     with_draw_axis,
 )
-from sweep.planning.score import with_value as moved
+from sweep.planning.score import with_plan_number as moved
 from sweep.runs import tuning
 from sweep.runs.tuning import fit_size_slopes, parse_free_numbers, search_by_cma, search_by_gradients
 from sweep.runs.unsearched_values import describe_unsearched_values
@@ -199,7 +199,7 @@ def test_gradients_move_numbers_of_the_manoeuvre_too_and_the_file_says_so(tmp_pa
 def test_gradients_of_what_forces_lack_are_those_of_small_changes():
     exp, stages = compose(["scenario=pole_top"]), ["over.front"]
     draws = with_draw_axis(*tuning.draw_beliefs(exp, 1))
-    score = Score(exp.case, ["over.front.base.above"], [Aim("hold", "*", 0.5)], stages, [("*", 2)], True, 1)
+    score = PlanScore(exp.case, ["over.front.base.above"], [MarginAim("hold", "*", 0.5)], stages, [("*", 2)], True, 1)
     above = numbers_by_path(evaluate_plan(exp.case), exp.case.obstacle.charts)["over.front.base.above"]
     (less, _), (_, slope), (more, _) = (
         score.deficit_gradients(np.array([above + by]), draws) for by in (-0.002, 0.0, 0.002)
@@ -208,7 +208,7 @@ def test_gradients_of_what_forces_lack_are_those_of_small_changes():
 
 
 def test_a_margin_that_is_no_number_lacks_the_most():
-    score = Score(compose(["scenario=pole_top"]).case, [], [], ["over.front"], [("*", 3)], False, 1)
+    score = PlanScore(compose(["scenario=pole_top"]).case, [], [], ["over.front"], [("*", 3)], False, 1)
     rates = [np.array([[[x], [0.0]]]) for x in (-1.0, -7.0, np.nan)]  # rad/s, of two draws
     kept, short, unknown = (score.worst_draw_score({"rate": rate})[0] for rate in rates)
     assert kept == 0 < short < unknown == MAX_DEFICIT**2
@@ -220,7 +220,7 @@ def test_stages_are_judged_at_moments_of_their_own():
     draws = with_draw_axis(*tuning.draw_beliefs(exp, 1))
 
     def rates(*moments):
-        return Score(exp.case, [], [], stages, moments, False, 1).margins(np.zeros(0), draws)["rate"][0]
+        return PlanScore(exp.case, [], [], stages, moments, False, 1).margins(np.zeros(0), draws)["rate"][0]
 
     some, all_of_them = rates(("*", 2), ("*.front", 9)), rates(("*", 9))
     np.testing.assert_allclose(some[0], all_of_them[0], rtol=1e-4)
@@ -253,7 +253,7 @@ def test_slopes_of_numbers_that_move_together_are_those_of_each():
         numbers_by_path(evaluate_plan(exp.case), exp.case.obstacle.charts),
     )
     first, steps = np.array([[told[path] for path in free]]), np.array([0.01, 0.02, 0.03])
-    score = Score(exp.case, free, [], ["over.front", "top.rear"], [("*", 3)], False, 1)
+    score = PlanScore(exp.case, free, [], ["over.front", "top.rear"], [("*", 3)], False, 1)
     lack, slopes = score.deficit_slopes(first, draws, steps)
     known = np.isfinite(lack[0, 0])
     moved = [score.deficits(score.margins(first + DIFFERENCE_SHARE * step, draws))[0, known] for step in np.diag(steps)]
@@ -343,7 +343,7 @@ def test_a_foot_that_lands_has_not_swung_into_the_ground(tmp_path, monkeypatch):
     (tmp_path / "scenarios" / "beside.yaml").write_text(ON_A_BALL)
     monkeypatch.chdir(tmp_path)
     case = compose(["scenario=beside"]).case
-    played = Score(case, (), (), ("go.*",), [("*", 1)], False, 1).margins(np.zeros(0), with_draw_axis(case, 1))
+    played = PlanScore(case, (), (), ("go.*",), [("*", 1)], False, 1).margins(np.zeros(0), with_draw_axis(case, 1))
     assert played["swing"].min() > 0.003
 
 

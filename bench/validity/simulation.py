@@ -10,13 +10,13 @@ import numpy as np
 
 from sweep.backends import devices
 from sweep.dynamics import interface, tree
-from sweep.dynamics.step import PhysicsState, from_components, state_at_rest, step, to_components
+from sweep.dynamics.step import PhysicsState, join_components, split_into_components, state_at_rest, step
 from sweep.engines import physics
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.fused import launch
 from sweep.fused.kernel import Kernel, compile_function
 from sweep.models.case import Case
-from sweep.models.drive import position_mode
+from sweep.models.drive import position_command
 
 Record = dict[str, Any]
 Step = Callable[
@@ -67,10 +67,12 @@ def _stepping(
 
     def one(case: Case, state: PhysicsState, reference: jax.Array) -> tuple[PhysicsState, Record]:
         limits = physics.execution_limits(case, jnp.int32(0), h)
-        servo = position_mode(case.drive, reference)
-        moving, report = step(tree.tree_dynamics(case), case, limits, to_components(state), servo, h, iterations)
+        servo = position_command(case.drive, reference)
+        moving, report = step(
+            tree.tree_dynamics(case), case, limits, split_into_components(state), servo, h, iterations
+        )
         work = h * (jnp.sum(sum(report.power)) + report.external_power[0])  # pyright: ignore[reportArgumentType]
-        state, before = from_components(moving), report.start
+        state, before = join_components(moving), report.start
         return state, {
             "q": state.q,
             "v": state.v,

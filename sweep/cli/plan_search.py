@@ -31,8 +31,8 @@ from sweep.planning.plan_table import COMMAND, RANGES, SEARCHED, SLOPES, Content
 from sweep.planning.score import (
     EQUAL_DEFICIT,
     MANOEUVRE,
-    Aim,
-    Score,
+    MarginAim,
+    PlanScore,
     least_margins,
     relative_changes,
     with_draw_axis,
@@ -73,7 +73,7 @@ def tune_plan(args: argparse.Namespace) -> int:
     sizes = nominal_drawn_sizes(exp) if args.follow else {}
     method = "linear programs, to follow sizes" if args.follow else "gradients" if args.gradients else "CMA-ES"
     aims, width = [parse_margin_aim(text) for text in args.need], args.population if method == "CMA-ES" else 1
-    score = Score(
+    score = PlanScore(
         case, list(steps), aims, args.stages or ["*"], parse_moments_per_stage(args.moments), args.forces, width
     )
     seen, others = (with_draw_axis(*tuning.draw_beliefs(exp, exp.study.seed + k)) for k in (0, 1))
@@ -160,7 +160,7 @@ def searched_ranges(exp: Experiment) -> dict[str, list[float]]:
 
 
 def select_influential_sizes(
-    exp: Experiment, score: Score, numbers: np.ndarray, draws: Case, sizes: Mapping[str, float]
+    exp: Experiment, score: PlanScore, numbers: np.ndarray, draws: Case, sizes: Mapping[str, float]
 ) -> dict[str, float]:
     """Select the sizes that change a margin over the range of the draws.
 
@@ -178,7 +178,7 @@ def select_influential_sizes(
 
 
 def search_and_round(
-    score: Score, draws: Case, first: np.ndarray, sizes: Mapping[str, float], how: Mapping[str, Any], log: Path
+    score: PlanScore, draws: Case, first: np.ndarray, sizes: Mapping[str, float], how: Mapping[str, Any], log: Path
 ) -> tuple[np.ndarray, np.ndarray]:
     """Search with a progress bar; return rounded numbers (n,), and the slopes (n, k) by which they follow sizes."""
     scale = np.array(list(how["free"].values()))
@@ -230,13 +230,13 @@ def compare_plans(overrides: list[str], file: Path, settings: list[str], seed: i
     return f"simulated draws of seed {seed} that succeed: {before} before, {after} after"
 
 
-def parse_margin_aim(text: str) -> Aim:
+def parse_margin_aim(text: str) -> MarginAim:
     """Parse `MARGIN[@STAGES]=VALUE`. Raises `InputError`."""
     name, _, value = text.partition("=")
     margin, _, pattern = name.partition("@")
     try:
         if (least := float(value)) < math.inf:
-            return Aim(margin, pattern or "*", least)
+            return MarginAim(margin, pattern or "*", least)
     except ValueError:
         pass
     raise InputError(f"--need = {text} is not allowed: MARGIN=VALUE or MARGIN@STAGES=VALUE, a number")
@@ -263,7 +263,7 @@ def tunable_manoeuvre_parameters(case: Case) -> dict[str, float]:
     return {f"{MANOEUVRE}.{name}": float(value) for name, value in found.items() if value is not None}
 
 
-def margins_table(score: Score, margins: Mapping[str, Mapping[str, np.ndarray]]) -> str:
+def margins_table(score: PlanScore, margins: Mapping[str, Mapping[str, np.ndarray]]) -> str:
     """Table of the smallest value of each margin (m, rad/s), with its stage in the last column."""
     lines = {name: least_margins(values) for name, values in margins.items()}
     last = list(margins.values())[-1]

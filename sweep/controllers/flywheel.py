@@ -13,7 +13,7 @@ from sweep.controllers.observation import Observation
 from sweep.controllers.plan import BALANCE, LOCKED, Plan
 from sweep.core.constants import GRAVITY
 from sweep.core.rotations import rotate, wrap_angle
-from sweep.models.drive import Servo
+from sweep.models.drive import ServoCommand
 from sweep.models.posture import mass_centre
 from sweep.models.robot import Robot
 
@@ -22,7 +22,7 @@ TURNING = np.zeros((6, 3), bool)
 TURNING[RIGHT] = TURNING[LEFT] = True
 
 
-class Gains(NamedTuple):
+class FlywheelGains(NamedTuple):
     """Feedback gains of the flywheel, c_1 to c_6 of monograph 2.6.2; made by the beam manoeuvres."""
 
     c1: Array | float  # N/m
@@ -40,7 +40,7 @@ class Flywheel(Layer):
     """Layer that balances the body with the middle legs, over S stages."""
 
     mode: Int[Array, " s"]  # `LOCKED`, `LEVELLING` or `BALANCE`
-    gains: Gains
+    gains: FlywheelGains
 
     def ignores_base_pose(self, stage: Int[Array, ""]) -> Bool[Array, ""]:
         """Return True while the robot balances on two feet: its base tilts about them."""
@@ -54,7 +54,7 @@ class Flywheel(Layer):
 
     def servo_command(
         self, robot: Robot, plan: Plan, stage: Int[Array, ""], obs: Observation
-    ) -> tuple[Bool[Array, "6 3"], Servo]:
+    ) -> tuple[Bool[Array, "6 3"], ServoCommand]:
         """Return which joints are under torque control and their servo law.
 
         While the robot balances, M_3 = -(c_1 xi_c + c_2 xi_c')/2 - M_g, where xi_c is the distance of the mass centre
@@ -81,7 +81,7 @@ class Flywheel(Layer):
         torque = jnp.where(self.mode[stage] == BALANCE, balance, level) - leg_weight_moment(robot) * jnp.sin(angle)
         zeros = jnp.zeros_like(obs.angles)
         target = obs.angles[LEFT] + wrap_angle(angle - obs.angles[LEFT])
-        servo = Servo(
+        servo = ServoCommand(
             target=obs.angles.at[LEFT].set(target),
             stiffness=zeros.at[LEFT].set(-gains.c3),
             damping=zeros.at[RIGHT].set(-gains.back_emf).at[LEFT].set(gains.c4 - gains.back_emf),

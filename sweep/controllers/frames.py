@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from sweep.core.rotations import conjugate, multiply, rotate
-from sweep.models.frames import body_frame, koenig_frame
+from sweep.models.frames import body_frame_number, koenig_frame_number
 from sweep.models.obstacles.surface import FreeState, Obstacle, Surface, body_poses, free_start_state, surface_at
 from sweep.models.posture import Stance
 
@@ -19,7 +19,7 @@ def to_world(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeSta
     """
     rotated, shift = points, jnp.zeros_like(points)
     for k in range(free.position.shape[0]):
-        rotated = jnp.where((frame == body_frame(k))[:, None], rotate(free.quat[k : k + 1], points), rotated)
+        rotated = jnp.where((frame == body_frame_number(k))[:, None], rotate(free.quat[k : k + 1], points), rotated)
         shift = shift + _goes_with(frame, k)[:, None] * free.position[k]
     return rotated + shift if free.position.shape[0] else points
 
@@ -34,7 +34,9 @@ def to_frame(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeSta
     """
     for k in range(free.position.shape[0]):
         points = points - _goes_with(frame, k)[:, None] * free.position[k]
-        points = jnp.where((frame == body_frame(k))[:, None], rotate(conjugate(free.quat[k : k + 1]), points), points)
+        points = jnp.where(
+            (frame == body_frame_number(k))[:, None], rotate(conjugate(free.quat[k : k + 1]), points), points
+        )
     return points
 
 
@@ -61,7 +63,7 @@ def stance_to_world(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""]
     """
     position, quat = to_world(stance.position[None], base[None], free)[0], stance.quat
     for k in range(free.position.shape[0]):
-        quat = jnp.where(base == body_frame(k), multiply(free.quat[k], quat), quat)
+        quat = jnp.where(base == body_frame_number(k), multiply(free.quat[k], quat), quat)
     return Stance(to_world(stance.feet, feet, free), position, quat)
 
 
@@ -76,9 +78,9 @@ def stance_to_frame(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""]
     """
     position, quat = to_frame(stance.position[None], base[None], free)[0], stance.quat
     for k in range(free.position.shape[0]):
-        quat = jnp.where(base == body_frame(k), multiply(conjugate(free.quat[k]), quat), quat)
+        quat = jnp.where(base == body_frame_number(k), multiply(conjugate(free.quat[k]), quat), quat)
     return Stance(to_frame(stance.feet, feet, free), position, quat)
 
 
 def _goes_with(frame: Int[Array, " n"], body: int) -> Array:
-    return (frame == koenig_frame(body)) | (frame == body_frame(body))
+    return (frame == koenig_frame_number(body)) | (frame == body_frame_number(body))

@@ -15,7 +15,7 @@ from sweep.controllers.observation import Observation, foot_load_delay_s, touchd
 from sweep.controllers.plan import Plan
 from sweep.core.rotations import nearest_equivalent_angle
 from sweep.formulas import stepping
-from sweep.models.drive import Servo
+from sweep.models.drive import ServoCommand
 from sweep.models.noise import Noise
 from sweep.models.obstacles.surface import FreeState
 from sweep.models.posture import Stance, feet_in_world
@@ -53,7 +53,7 @@ class Command(NamedTuple):
     phase: Float[Array, ""]  # of the stage, 0 to 1
     shortfall: Float[Array, " 6"]  # m, by which each foot target is out of reach
     # Joints that get a servo law in place of the joint targets, and that law; None: no joint does.
-    servo: tuple[Bool[Array, "6 3"], Servo] | None = None
+    servo: tuple[Bool[Array, "6 3"], ServoCommand] | None = None
     # `target` with the base where exact sensors would put it, which metrics compare the true pose with; None: the same
     reference: Stance | None = None
 
@@ -143,8 +143,8 @@ class Layer:
         return joints
 
 
-class EaseState(NamedTuple):
-    """State of `Ease`: where the feet are on the way to their new footholds. World axes."""
+class GradualFootholdState(NamedTuple):
+    """State of `GradualFootholds`: where the feet are on the way to their new footholds. World axes."""
 
     command: Float[Array, "6 3"]  # m, feet in the last tick, from the origins of their frames
     offset: Float[Array, "6 3"]  # m, last command before the stage minus the foothold
@@ -152,22 +152,24 @@ class EaseState(NamedTuple):
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Ease(Layer):
+class GradualFootholds(Layer):
     """Layer that moves feet gradually to the footholds of a new stage, since a jump would make the drives jerk."""
 
     time: Float[Array, ""]  # s, duration of the transition
 
-    def init_state(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> EaseState:
+    def init_state(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> GradualFootholdState:
         """Return the state with all feet at their footholds."""
-        return EaseState(start.feet, jnp.zeros_like(start.feet))
+        return GradualFootholdState(start.feet, jnp.zeros_like(start.feet))
 
-    def modify_stance(self, ctx: TickContext, state: EaseState, target: Stance) -> tuple[EaseState, Stance]:
+    def modify_stance(
+        self, ctx: TickContext, state: GradualFootholdState, target: Stance
+    ) -> tuple[GradualFootholdState, Stance]:
         """Blend each foot linearly from its last command to its foothold within `time`."""
         frame, zeros = ctx.plan.foot_frame, jnp.zeros((6, 3))
         before, origin = (to_world(zeros, frame[stage], ctx.free) for stage in (ctx.last_stage, ctx.stage))
         left = jnp.where(ctx.is_first_tick, state.command + before - target.feet, state.offset)
         feet = target.feet + jnp.clip(1 - ctx.clock / self.time, 0.0, 1.0) * left
-        return EaseState(feet - origin, left), target._replace(feet=feet)
+        return GradualFootholdState(feet - origin, left), target._replace(feet=feet)
 
 
 @jax.tree_util.register_dataclass
@@ -201,7 +203,7 @@ class HeldLegs(Layer):
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Feedforward(Layer):
+class ForceFeedforward(Layer):
     """Layer that produces planned foot forces by offsets of joint targets, at K instants of each of S stages.
 
     A planned force is commanded as an offset of the joint targets. The force acts as planned only if the foothold is

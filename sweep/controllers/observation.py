@@ -38,7 +38,7 @@ class Observation(NamedTuple):
     maybe_loaded: Bool[Array, " 6"] | None = None  # feet that may carry load; None: same as `loaded`
 
 
-class Biases(NamedTuple):
+class SensorBiases(NamedTuple):
     """Constant sensor errors of one rollout, drawn by `draw_biases`. World axes."""
 
     position: Float[Array, " 3"]  # m
@@ -48,20 +48,20 @@ class Biases(NamedTuple):
     load: Float[Array, " 6"]  # N, of each foot
 
 
-class Sensors(NamedTuple):
+class SensorState(NamedTuple):
     """State of the sensors in a rollout: its biases, and the true observations of past ticks in a ring buffer.
 
     Made by `init_sensors`.
     """
 
-    bias: Biases | None  # None where sensors are late, but without errors
+    bias: SensorBiases | None  # None where sensors are late, but without errors
     free_bias: (
         Float[Array, "k 4 3"] | None
     )  # bias of each free body's position, orientation, velocity, angular velocity
     history: Observation | None  # leaves (delay_buffer, ...): tick k is at k % delay_buffer; None without a delay
 
 
-def draw_biases(noise: Noise, key: Array) -> Biases:
+def draw_biases(noise: Noise, key: Array) -> SensorBiases:
     """Draw the constant errors of the robot's sensors for one rollout.
 
     Args:
@@ -79,7 +79,7 @@ def draw_biases(noise: Noise, key: Array) -> Biases:
     offsets = [[getattr(noise, f"{kind}_offset_{axis}") for axis in "xyz"] for kind in ("position", "orientation")]
     shift, tilt = (jnp.stack([jnp.asarray(x, float) for x in three]) for three in offsets)
     load = noise.load_bias * jax.random.normal(jax.random.fold_in(key, LOAD), (6,), float)
-    return Biases(position + shift, turn + tilt, velocity, joint, load)
+    return SensorBiases(position + shift, turn + tilt, velocity, joint, load)
 
 
 def draw_body_biases(noise: Noise, key: Array, free: FreeState) -> Float[Array, "k 4 3"]:
@@ -98,7 +98,7 @@ def draw_body_biases(noise: Noise, key: Array, free: FreeState) -> Float[Array, 
     return _draw_body_errors(jax.random.fold_in(key, FREE), sizes, free)
 
 
-def init_sensors(noise: Noise, key: Array, truth: Observation, has_errors: bool = True) -> Sensors:
+def init_sensors(noise: Noise, key: Array, truth: Observation, has_errors: bool = True) -> SensorState:
     """Draw a rollout's biases and fill the history with the state at the start.
 
     Args:
@@ -114,13 +114,13 @@ def init_sensors(noise: Noise, key: Array, truth: Observation, has_errors: bool 
     if noise.delay_buffer:
         history = jax.tree.map(lambda x: jnp.broadcast_to(x, (noise.delay_buffer, *x.shape)), truth)
     if not has_errors:
-        return Sensors(None, None, history)
-    return Sensors(draw_biases(noise, key), draw_body_biases(noise, key, truth.free), history)
+        return SensorState(None, None, history)
+    return SensorState(draw_biases(noise, key), draw_body_biases(noise, key, truth.free), history)
 
 
 def observe(
-    noise: Noise, sensors: Sensors, truth: Observation, key: Array, tick: Array | int
-) -> tuple[Sensors, Observation]:
+    noise: Noise, sensors: SensorState, truth: Observation, key: Array, tick: Array | int
+) -> tuple[SensorState, Observation]:
     """Return the delayed, biased and noisy measurement of a true state.
 
     Joint errors act on the feedback of the drives in the same tick, hence they are not delayed.
@@ -208,7 +208,7 @@ def _draw_body_errors(key: Array, sizes: tuple[Array | float, ...], free: FreeSt
     return jnp.stack(sizes)[:, None] * jax.random.normal(key, (*free.position.shape[:1], 4, 3), free.position.dtype)
 
 
-class BodyObserver(NamedTuple):
+class FreeBodyFilterState(NamedTuple):
     """State of the free-body filter: two complementary filters in series.
 
     With a single filter, feet that stand on a body would still get a jump in velocity at every tick. Made by the
@@ -220,8 +220,8 @@ class BodyObserver(NamedTuple):
 
 
 def filter_body_pose(
-    observer: BodyObserver, measured: FreeState, time_constant: Array | float, period: float
-) -> BodyObserver:
+    observer: FreeBodyFilterState, measured: FreeState, time_constant: Array | float, period: float
+) -> FreeBodyFilterState:
     """Advance the free-body filter by one control tick.
 
     Each of the two complementary filters integrates the measured velocities and is corrected towards the pose before it
@@ -237,7 +237,7 @@ def filter_body_pose(
         The new state; its `second` is the filtered pose with the measured velocities.
     """
     first = _filter_step(observer.first, measured, time_constant / 2, period)
-    return BodyObserver(first, _filter_step(observer.second, first, time_constant / 2, period))
+    return FreeBodyFilterState(first, _filter_step(observer.second, first, time_constant / 2, period))
 
 
 def _filter_step(estimate: FreeState, measured: FreeState, time_constant: Array | float, period: float) -> FreeState:

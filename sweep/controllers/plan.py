@@ -38,7 +38,7 @@ STILL, LEVEL = np.zeros(3, np.float32), np.array([1, 0, 0, 0], np.float32)
 STAND = 0.5  # s, standing before the first and after the last swing
 
 
-class Support(NamedTuple):
+class SupportMotion(NamedTuple):
     """Reference motion of a free body in a stage, from its measured state on; in a plan, over S stages and k bodies.
 
     - `TO_VELOCITY`: to a velocity and angular velocity at the end of the stage, at constant acceleration: monograph
@@ -56,7 +56,7 @@ class Support(NamedTuple):
     quat: Float[Array, "*b 4"] | np.ndarray = LEVEL
 
 
-RESTS, STAYS = Support(TO_VELOCITY), Support(KEPT)
+RESTS, STAYS = SupportMotion(TO_VELOCITY), SupportMotion(KEPT)
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Stage:
     # frame in which each foot stands or swings, see frames.py
     foot_frames: tuple[int, ...] = (WORLD_FRAME,) * 6
     base_frame: int = WORLD_FRAME  # frame of the base position; a body-fixed frame also turns the base
-    support: tuple[Support, ...] = ()  # reference motion of every free body; empty: as measured
+    support: tuple[SupportMotion, ...] = ()  # reference motion of every free body; empty: as measured
     law: str = ""  # name of the feedback law that guides the stage, or by which metrics find it; empty: follow the plan
     onset: str = REZERO
     # m, by which feet on a free body are commanded beyond their measured places: into the body, and towards the middle
@@ -142,7 +142,7 @@ class Plan:
     onset: tuple[str, ...] = field(default=(), metadata={"static": True})  # by stage
     laws: tuple[str, ...] = field(default=(), metadata={"static": True})  # by stage
 
-    def layer[T](self, kind: type[T]) -> T | None:
+    def find_layer[T](self, kind: type[T]) -> T | None:
         """Return the layer of a class; None if the plan has none."""
         return next((layer for layer in self.layers if isinstance(layer, kind)), None)
 
@@ -202,7 +202,7 @@ def swing_progress(cycle: Int[Array, ""], carry: Array, phase: Float[Array, ""])
     return (1 - carry) * share + carry * phase, height
 
 
-def is_under_law(plan: Plan, stage: Int[Array, ""], *laws: str) -> Bool[Array, ""]:
+def is_guided_by_law(plan: Plan, stage: Int[Array, ""], *laws: str) -> Bool[Array, ""]:
     """Return whether a stage is guided by one of these laws.
 
     Args:
@@ -213,7 +213,9 @@ def is_under_law(plan: Plan, stage: Int[Array, ""], *laws: str) -> Bool[Array, "
     return jnp.asarray(np.isin(plan.laws, laws))[stage]
 
 
-def stage_start(plan: Plan, stage: Int[Array, ""], free: FreeState) -> tuple[Float[Array, "6 3"], Float[Array, " 3"]]:
+def stage_start_pose(
+    plan: Plan, stage: Int[Array, ""], free: FreeState
+) -> tuple[Float[Array, "6 3"], Float[Array, " 3"]]:
     """Return feet and base at the start of a stage as planned, in the frames of the stage.
 
     Args:

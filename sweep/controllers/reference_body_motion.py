@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from sweep.controllers.layers import Layer
-from sweep.controllers.plan import ALONGSIDE, KEPT, TO_POSE, Plan, Support
+from sweep.controllers.plan import ALONGSIDE, KEPT, TO_POSE, Plan, SupportMotion
 from sweep.core.rotations import conjugate, exponential, heading, logarithm, multiply, rotation_about_vertical
 from sweep.formulas import stepping
 from sweep.models.obstacles.surface import FreeState
@@ -29,7 +29,7 @@ class ReferenceBodyMotion(Layer):
     The state is the bodies' state at the start of the stage. Made by `compile_plan`.
     """
 
-    support: Support  # leading axes (s, k)
+    support: SupportMotion  # leading axes (s, k)
     # whether the bodies float: height and tilt are then always as measured
     afloat: bool = field(metadata={"static": True})
 
@@ -56,7 +56,7 @@ class ReferenceBodyMotion(Layer):
 
 
 def reference_motion(
-    support: Support, start: FreeState, measured: FreeState, clock: Array, duration: Array
+    support: SupportMotion, start: FreeState, measured: FreeState, clock: Array, duration: Array
 ) -> FreeState:
     """Return the reference state of free bodies at a time of a stage; it stays at its end after the stage's duration.
 
@@ -106,7 +106,7 @@ def reference_motion(
 
 
 def floating_reference_motion(
-    support: Support, start: FreeState, measured: FreeState, clock: Array, duration: Array
+    support: SupportMotion, start: FreeState, measured: FreeState, clock: Array, duration: Array
 ) -> FreeState:
     """Return the reference state of floating bodies: only the plane motion is planned, height and tilt are as measured.
 

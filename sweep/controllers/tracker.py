@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from sweep.controllers.frames import stance_to_frame, stance_to_world, to_frame
 from sweep.controllers.layers import Command, TickContext
 from sweep.controllers.observation import (
-    BodyObserver,
+    FreeBodyFilterState,
     Observation,
     filter_body_pose,
     foot_load_delay_s,
@@ -45,7 +45,7 @@ class TrackerState(NamedTuple):
     finished: Bool[Array, ""]  # whether the last stage has ended
     goal: Float[Array, "6 3"]  # m, footholds at the end of the stage, in its frames; used by guided manoeuvres
     memory: Any  # state of a guided manoeuvre's feedback, else None
-    observer: BodyObserver | None  # filter of the free bodies, for manoeuvres on them, else None
+    observer: FreeBodyFilterState | None  # filter of the free bodies, for manoeuvres on them, else None
     last_target: Stance | None  # last commanded stance in the stage's frames, for manoeuvres that end stages, else None
     layer_states: tuple[Any, ...]  # one for each layer of the plan
     true_error: PoseError | None = None  # `error` by exact sensors; None: sensors are exact
@@ -107,7 +107,7 @@ def init(belief: Case, plan: Plan, exact: bool = True) -> TrackerState:
         finished=jnp.asarray(False),
         goal=start.feet,
         memory=manoeuvre.init_memory(belief, plan),
-        observer=None if manoeuvre.observer is None else BodyObserver(free, free),
+        observer=None if manoeuvre.observer is None else FreeBodyFilterState(free, free),
         last_target=start if manoeuvre.ends_stages else None,
         layer_states=tuple(layer.init_state(start, joints, free) for layer in plan.layers),
         true_error=None if exact else PoseError(zeros, zeros),

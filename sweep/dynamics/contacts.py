@@ -224,7 +224,7 @@ def resisting_moments(
     )
 
 
-class ContactArm(NamedTuple):
+class BodyContactRole(NamedTuple):
     """How a root body takes part in n contact points: it carries some of them, and others stand on it."""
 
     body: int
@@ -250,7 +250,7 @@ class ContactSet(NamedTuple):
     """Contact points that share a contact law: the feet, or the sites of free bodies."""
 
     geometry: ContactGeometry
-    arms: tuple[ContactArm, ...]
+    arms: tuple[BodyContactRole, ...]
     rolling: RollingResistance | None = None
 
     def velocity(self, root: Sequence[SpatialVector]) -> Vector:
@@ -273,12 +273,15 @@ class ContactSet(NamedTuple):
         return out
 
 
-def body_arms(points: Vector, body: Array, owner: Sequence[int], origins: Sequence[Vector]) -> tuple[ContactArm, ...]:
+def body_contact_arms(
+    points: Vector, body: Array, owner: Sequence[int], origins: Sequence[Vector]
+) -> tuple[BodyContactRole, ...]:
     """Return the contact arms of free bodies: to points that they carry (`owner`) and to points that stand on them
     (`body`)."""
     shares = [jnp.equal(np.array(owner), k) - (body == k).astype(points.x.dtype) for k in range(len(origins))]
     return tuple(
-        ContactArm(k + 1, share, points - origin) for k, (share, origin) in enumerate(zip(shares, origins, strict=True))
+        BodyContactRole(k + 1, share, points - origin)
+        for k, (share, origin) in enumerate(zip(shares, origins, strict=True))
     )
 
 
@@ -325,8 +328,8 @@ def find_contacts(
             offset = -own.rolling.radius * Vector.from_array(own.normal)
             point, place = point + offset, place + to_base @ offset
         geometry, anchor = contact_geometry(case.contact, own, held, point, free.frames)
-        carried = body_arms(place, own.body, owner[span], free.origins)
+        carried = body_contact_arms(place, own.body, owner[span], free.origins)
         if k == 0:
-            carried = (ContactArm(0, None, place), *carried)
+            carried = (BodyContactRole(0, None, place), *carried)
         touches.append(ContactStart(ContactSet(geometry.rotate(to_base), carried, own.rolling), own, point, anchor))
     return touches

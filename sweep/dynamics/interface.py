@@ -21,7 +21,7 @@ from sweep.models.legs import JOINT_NAMES, LEGS, N_LEGS
 
 
 @dataclass(frozen=True)
-class Topology:
+class ModelTopology:
     """Compiled model and index tables, constant while sizes and masses vary. `topology` makes it.
 
     Contact points are the six feet, then the obstacle's sites.
@@ -47,7 +47,7 @@ class RobotDynamicsTerms(NamedTuple):
 SmoothDynamics = Callable[[Pose, Motion], RobotDynamicsTerms]  # of one world; motions in the bodies' own axes
 
 
-def topology(case: Case) -> Topology:
+def topology(case: Case) -> ModelTopology:
     """Compile the model of a case (plain numbers) and build the index tables of its blocks.
 
     Raises:
@@ -63,4 +63,4 @@ def topology(case: Case) -> Topology:
             raise InputError(f"free body {name} is not allowed: its frame is at its mass centre, on principal axes")
     leg = np.array([model.jnt_dofadr[names["joint"][joint]] for joint in JOINT_NAMES], np.int32).reshape(N_LEGS, 3)
     feet = np.array([names["site"][f"foot{leg}"] for leg in LEGS], np.int32)
-    return Topology(model, names, leg, feet, free, contact_owners(case))
+    return ModelTopology(model, names, leg, feet, free, contact_owners(case))

@@ -11,7 +11,7 @@ from mujoco.mjx._src import math as mjx_math
 from mujoco.mjx._src import smooth
 
 from sweep.core.vectors import Matrix, Vector
-from sweep.dynamics.interface import RobotDynamicsTerms, SmoothDynamics, Topology
+from sweep.dynamics.interface import ModelTopology, RobotDynamicsTerms, SmoothDynamics
 from sweep.dynamics.spatial import Inertia, MassMatrix, Motion, Pose, SpatialVector, pack_state
 from sweep.models import scene
 from sweep.models.case import Case
@@ -20,14 +20,14 @@ from sweep.models.legs import N_LEGS
 BASE_BODY_ID = 1  # body id
 
 
-def mjx_dynamics(top: Topology) -> Callable[[Case], SmoothDynamics]:
+def mjx_dynamics(top: ModelTopology) -> Callable[[Case], SmoothDynamics]:
     """Build smooth dynamics from MJX: a function from a world of this topology to its `SmoothDynamics`."""
     model = mjx.put_model(top.model, impl="jax")
     data = mjx.make_data(model, impl="jax")
     return lambda world: partial(smooth_dynamics, top, model.replace(**varying_fields(top, model, world)), data)
 
 
-def varying_fields(top: Topology, model: mjx.Model, case: Case) -> dict[str, Array]:
+def varying_fields(top: ModelTopology, model: mjx.Model, case: Case) -> dict[str, Array]:
     """Fields of the MJX model that depend on the parameters of `case`, by name; may be traced."""
     changed = {}
     for field, values in scene.batched_model_fields(case).items():
@@ -41,7 +41,9 @@ def varying_fields(top: Topology, model: mjx.Model, case: Case) -> dict[str, Arr
     return changed
 
 
-def smooth_dynamics(top: Topology, model: mjx.Model, data: mjx.Data, pose: Pose, motion: Motion) -> RobotDynamicsTerms:
+def smooth_dynamics(
+    top: ModelTopology, model: mjx.Model, data: mjx.Data, pose: Pose, motion: Motion
+) -> RobotDynamicsTerms:
     """The robot's blocks at a pose and motion. `data` is an empty MJX data of the topology."""
     q, v = pack_state(pose, motion)
     d = data.replace(qpos=q, qvel=v)

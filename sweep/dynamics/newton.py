@@ -5,7 +5,7 @@ from operator import add
 from typing import NamedTuple
 
 from sweep.core.vectors import Matrix, Vector, cross_matrix, diagonal
-from sweep.dynamics.contacts import ContactArm, ContactSet
+from sweep.dynamics.contacts import BodyContactRole, ContactSet
 from sweep.dynamics.spatial import JointTriple, MassMatrix, Motion, SpatialVector
 
 
@@ -80,7 +80,7 @@ def _eliminate_legs(
     mass: MassMatrix,
     j_leg: tuple[Vector, Vector, Vector],
     stiff: JointTriple,
-    arm: ContactArm,
+    arm: BodyContactRole,
     slope: Matrix,
     moving: bool,
 ) -> LegElimination:
@@ -112,7 +112,7 @@ def _eliminate_legs(
     return LegElimination(upper, solved, inverse, [[rest(i, j) for j in range(2 + moving)] for i in range(2 + moving)])
 
 
-def _add_standing_legs(blocks: "BlockMatrix", arm: ContactArm, leg_block: list[list[Matrix]]) -> None:
+def _add_standing_legs(blocks: "BlockMatrix", arm: BodyContactRole, leg_block: list[list[Matrix]]) -> None:
     """Add the stiffness that free bodies feel from the legs that stand on them."""
     ground = 2
     for i in range(2):
@@ -124,7 +124,7 @@ def _add_standing_legs(blocks: "BlockMatrix", arm: ContactArm, leg_block: list[l
 
 
 def _add_free_contacts(
-    blocks: "BlockMatrix", touching: tuple[ContactArm, ...], slope: Matrix, turning: Matrix | None
+    blocks: "BlockMatrix", touching: tuple[BodyContactRole, ...], slope: Matrix, turning: Matrix | None
 ) -> None:
     """Add the stiffness of contacts of free bodies with the world and each other; `turning` resists rolling."""
     for one in touching:
@@ -135,7 +135,7 @@ def _add_free_contacts(
                 blocks.add(2 * one.body + 1, 2 * other.body + 1, shared.total())
 
 
-def _couple(blocks: "BlockMatrix", first: ContactArm, second: ContactArm, slope: Matrix) -> None:
+def _couple(blocks: "BlockMatrix", first: BodyContactRole, second: BodyContactRole, slope: Matrix) -> None:
     for i, row in enumerate(first.wrench_rows(slope)):
         for j, block in enumerate(second.twist_columns(row)):
             blocks.add(2 * first.body + i, 2 * second.body + j, block.total())

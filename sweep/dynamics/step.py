@@ -31,7 +31,7 @@ from sweep.dynamics.contacts import (
     resisting_moments,
 )
 from sweep.dynamics.free_bodies import FreeBodies
-from sweep.dynamics.interface import RobotDynamicsTerms, SmoothDynamics, Topology
+from sweep.dynamics.interface import ModelTopology, RobotDynamicsTerms, SmoothDynamics
 from sweep.dynamics.spatial import (
     JointTriple,
     MassMatrix,
@@ -45,7 +45,7 @@ from sweep.dynamics.spatial import (
     unpack_state,
 )
 from sweep.models.case import Case
-from sweep.models.drive import Servo
+from sweep.models.drive import ServoCommand
 from sweep.models.legs import N_LEGS
 from sweep.models.obstacles.surface import BodyPoses
 
@@ -102,7 +102,7 @@ class DriveLimits(NamedTuple):
     push: Float[Array, " 3"]  # N, at the base's centre, world axes
 
 
-def state_at_rest(top: Topology, q: Float[Array, " nq"]) -> PhysicsState:
+def state_at_rest(top: ModelTopology, q: Float[Array, " nq"]) -> PhysicsState:
     """Make a state at rest without contacts.
 
     Args:
@@ -113,13 +113,13 @@ def state_at_rest(top: Topology, q: Float[Array, " nq"]) -> PhysicsState:
     return PhysicsState(q, jnp.zeros(top.model.nv, q.dtype), tuple(no_anchors(n, q.dtype) for n in counts if n))
 
 
-def to_components(state: PhysicsState) -> ComponentState:
+def split_into_components(state: PhysicsState) -> ComponentState:
     """Split a state into components of bodies and joints."""
     return ComponentState(*unpack_state(state.q, state.v), state.anchors)
 
 
-def from_components(moving: ComponentState) -> PhysicsState:
-    """Join components to arrays in MuJoCo's order, the inverse of `to_components`."""
+def join_components(moving: ComponentState) -> PhysicsState:
+    """Join components to arrays in MuJoCo's order, the inverse of `split_into_components`."""
     return PhysicsState(*pack_state(moving.pose, moving.motion), moving.anchors)
 
 
@@ -128,7 +128,7 @@ def step(
     case: Case,
     limits: DriveLimits,
     state: ComponentState,
-    servo: Servo,
+    servo: ServoCommand,
     h: float,
     iterations: int,
 ) -> tuple[ComponentState, StepReport]:
@@ -162,8 +162,8 @@ def step(
         error,
         h,
     )
-    trial = problem.solve(v, iterations)
-    w, acting = trial.motion, problem.acting(trial)
+    trial = problem.solve_end_velocity(v, iterations)
+    w, acting = trial.motion, problem.forces_at_trial(trial)
     world = tuple(motion.rotate(turned) for motion in w.root)  # of the root bodies
     torque = map_joints(lambda u, rate: u - case.drive.back_emf * rate, acting.effort, w.leg)
     feet, normal = acting.forces[0], Vector.from_array(touches[0].surface.normal)
@@ -172,7 +172,7 @@ def step(
         normal=feet.normal,
         torque=torque,
         saturated=map_joints(lambda f: 1.0 - f, acting.free),
-        residual=_largest_component(problem.residual(trial, acting), here) / h,
+        residual=_largest_component(problem.momentum_residual(trial, acting), here) / h,
         power=map_joints(mul, torque, w.leg),
         external_power=reduce(add, (motion.dot(force) for motion, force in zip(world, outside, strict=False))),
         start=_step_start(here, normal, 0.5 * momentum.dot(v)),
@@ -323,7 +323,7 @@ class _Problem(NamedTuple):
     """The implicit equation of a step; everything but the end velocity is fixed."""
 
     case: Case
-    servo: Servo
+    servo: ServoCommand
     limits: DriveLimits
     contacts: tuple[ContactSet, ...]  # feet, and sites if any
     mass: MassMatrix
@@ -332,7 +332,7 @@ class _Problem(NamedTuple):
     error: JointTriple  # rad
     h: float
 
-    def trial(self, w: Motion) -> _Trial:
+    def evaluate_trial_velocity(self, w: Motion) -> _Trial:
         """Momentum and contact velocities at an end velocity."""
         done, damping = self.mass.momentum(w), self.h * self.case.drive.back_emf
         done = done._replace(leg=tuple(p + damping * rate for p, rate in zip(done.leg, w.leg, strict=True)))
@@ -341,7 +341,7 @@ class _Problem(NamedTuple):
         rolls = sites and self.contacts[1].rolling is not None
         return _Trial(w, done, (feet, *sites), self.contacts[1].relative_spin(w.root) if rolls else None)
 
-    def acting(self, trial: _Trial) -> _ActingForces:
+    def forces_at_trial(self, trial: _Trial) -> _ActingForces:
         """Forces at a trial velocity: contact (1.2.2), rolling resistance and clamped drives (1.2.1)."""
         laws = zip(self.contacts, trial.velocity, strict=True)
         forces = tuple(contact_forces(self.case.contact, own.geometry, velocity) for own, velocity in laws)
@@ -364,7 +364,7 @@ class _Problem(NamedTuple):
     def _damping(self) -> JointTriple:
         return split_joints(self.h * self.servo.stiffness + self.servo.damping)
 
-    def residual(self, trial: _Trial, acting: _ActingForces) -> Motion:
+    def momentum_residual(self, trial: _Trial, acting: _ActingForces) -> Motion:
         """Error of the momentum balance (N s)."""
         left = jax.tree.map(sub, self.start, trial.momentum)
         root, feet = list(left.root), acting.forces[0].force
@@ -377,7 +377,7 @@ class _Problem(NamedTuple):
         )
         return Motion(tuple(root), legs)
 
-    def solve(self, v: Motion, iterations: int) -> _Trial:
+    def solve_end_velocity(self, v: Motion, iterations: int) -> _Trial:
         """Solve for the end velocity by Newton's method, which begins with the velocity `v` at the start of the step.
 
         Most steps converge in one iteration, and few need more than three. A rollout that has converged keeps its
@@ -385,7 +385,7 @@ class _Problem(NamedTuple):
         """
         rounding = CONVERGENCE_FACTOR * float(jnp.finfo(v.leg[0].dtype).eps)
         enough = (rounding * GRAVITY * self.h) ** 2 * self.mass.root[0].mass[0]
-        first = _Iterate(self.trial(v), jnp.full_like(enough, jnp.inf), jnp.zeros((), jnp.int32))
+        first = _Iterate(self.evaluate_trial_velocity(v), jnp.full_like(enough, jnp.inf), jnp.zeros((), jnp.int32))
         return jax.lax.while_loop(
             lambda now: (now.cost > enough) & (now.number < iterations), lambda now: self._improve(now, enough), first
         ).trial
@@ -393,15 +393,15 @@ class _Problem(NamedTuple):
     def _improve(self, now: _Iterate, enough: Array) -> _Iterate:
         """Take a full Newton step or, if that does not converge, the step length with the least residual."""
         trial, number = now.trial, now.number + 1
-        acting = self.acting(trial)
-        direction = self.trial(self._newton(acting, self.residual(trial, acting)))
+        acting = self.forces_at_trial(trial)
+        direction = self.evaluate_trial_velocity(self._newton(acting, self.momentum_residual(trial, acting)))
         whole = jax.tree.map(add, trial, direction)
-        cost = self._cost(self.residual(whole, self.acting(whole)))[0]
+        cost = self._cost(self.momentum_residual(whole, self.forces_at_trial(whole)))[0]
 
         def take_best_step_length() -> _Iterate:
             lengths = jnp.asarray(STEP_FRACTIONS, cost.dtype)
             tried = add_scaled(trial, lengths[:, None], direction)
-            costs = self._cost(self.residual(tried, self.acting(tried)))[:, 0]
+            costs = self._cost(self.momentum_residual(tried, self.forces_at_trial(tried)))[:, 0]
             best, length = cost, jnp.ones_like(cost)
             for k in range(len(STEP_FRACTIONS)):
                 better = costs[k] < best

@@ -20,7 +20,7 @@ from sweep.models.posture import leg_mounts
 from sweep.models.robot import Robot, link_names
 
 
-class Link(NamedTuple):
+class LegLink(NamedTuple):
     """A link of a leg: a uniform rod."""
 
     mass: Number
@@ -43,7 +43,7 @@ def tree_dynamics(world: Case) -> SmoothDynamics:
     return partial(tree_terms, world.robot, world.drive.armature)
 
 
-def leg_links(robot: Robot, angle: JointTriple) -> tuple[Vector, list[Link]]:
+def leg_links(robot: Robot, angle: JointTriple) -> tuple[Vector, list[LegLink]]:
     """Unit vector of beta's and gamma's axis, and the links from the hip out."""
     yaw, side = leg_mounts(robot).yaw.astype(angle[0].dtype), SIDE_BY_LEG.astype(angle[0].dtype)
     turn, lift, bend = yaw + angle[0], angle[1], angle[1] + angle[2]
@@ -60,7 +60,7 @@ def leg_links(robot: Robot, angle: JointTriple) -> tuple[Vector, list[Link]]:
         length, mass, radius = getattr(robot, name), getattr(robot, f"{name}_mass"), robot.link_radius
         direction, joint = ways[name]
         inertia = mass * (3 * radius**2 + length**2) / 12, mass * radius**2 / 2
-        found.append(Link(mass, *inertia, length * direction, direction, joint))
+        found.append(LegLink(mass, *inertia, length * direction, direction, joint))
     return across, found
 
 
@@ -123,7 +123,7 @@ def _box(robot: Robot) -> tuple[Number, Number, Number]:
     return share * (b + c), share * (a + c), share * (a + b)
 
 
-def _composite(robot: Robot, links: list[Link], centres: list[Vector]) -> Inertia:
+def _composite(robot: Robot, links: list[LegLink], centres: list[Vector]) -> Inertia:
     """Mass, first moment and inertia of the whole robot about the base's origin (composite rigid body)."""
     moment = reduce(add, (link.mass * c for link, c in zip(links, centres, strict=True)))
     entries = [jnp.zeros_like(centres[0].x)] * 6

@@ -46,7 +46,7 @@ OPERATION_COSTS = {"convert_element_type": 0, "copy": 0, "div": 8, "sqrt": 8, "r
                    "log": 20}  # of an operation, where it is not 1  # fmt: skip
 
 
-class Operand(NamedTuple):
+class BatchOperand(NamedTuple):
     """A value of the program; its last axis is the batch, or it is the same for the whole batch."""
 
     value: Any
@@ -78,7 +78,7 @@ def batch_last_vmap(function: Callable, in_axes: Sequence[Any], reuse_from: int)
     def batched(*args: Any) -> Any:
         flat, tree = jax.tree.flatten(args)
         axes = [axis for arg, given in zip(args, in_axes, strict=True) for axis in _leaf_axes(arg, given)]
-        inputs = [Operand(jnp.asarray(x), axis is not None) for x, axis in zip(flat, axes, strict=True)]
+        inputs = [BatchOperand(jnp.asarray(x), axis is not None) for x, axis in zip(flat, axes, strict=True)]
         size = next(x.value.shape[-1] for x in inputs if x.is_batched)
         one = [jax.ShapeDtypeStruct(x.value.shape[: x.value.ndim - x.is_batched], x.value.dtype) for x in inputs]
         trace = jax.make_jaxpr(lambda *leaves: function(*jax.tree.unflatten(tree, leaves)), return_shape=True)
@@ -95,29 +95,29 @@ def _leaf_axes(arg: Any, axes: Any) -> list[int | None]:
     return jax.tree.leaves(axes, is_leaf=lambda x: x is None)
 
 
-def _broadcast_batch(x: Operand, size: int) -> Array:
+def _broadcast_batch(x: BatchOperand, size: int) -> Array:
     """The value with its last axis over the batch."""
     value = jnp.asarray(x.value)
     return value if x.is_batched else jnp.broadcast_to(value[..., None], (*value.shape, size))
 
 
-def _evaluate(program: ClosedJaxpr, inputs: Sequence[Operand], batch: BatchContext) -> list[Operand]:
+def _evaluate(program: ClosedJaxpr, inputs: Sequence[BatchOperand], batch: BatchContext) -> list[BatchOperand]:
     """Results of `program` on `inputs`."""
     jaxpr = program.jaxpr
-    known: dict[Any, Operand] = {}
+    known: dict[Any, BatchOperand] = {}
     read_by = [*(eqn.invars for eqn in jaxpr.eqns), jaxpr.outvars]
     uses = Counter(atom for atoms in read_by for atom in atoms if not isinstance(atom, core.Literal))
 
-    def read(atom: Any) -> Operand:
-        return Operand(atom.val, False) if isinstance(atom, core.Literal) else known[atom]
+    def read(atom: Any) -> BatchOperand:
+        return BatchOperand(atom.val, False) if isinstance(atom, core.Literal) else known[atom]
 
-    def write(atom: Any, operand: Operand) -> None:
+    def write(atom: Any, operand: BatchOperand) -> None:
         if operand.is_batched and operand.cost >= batch.reuse_cost and uses[atom] > 1:
-            operand = Operand(lax.optimization_barrier(operand.value), True)
+            operand = BatchOperand(lax.optimization_barrier(operand.value), True)
         known[atom] = operand
 
     for atom, value in zip(jaxpr.constvars, program.consts, strict=True):
-        write(atom, Operand(value, False))
+        write(atom, BatchOperand(value, False))
     for atom, operand in zip(jaxpr.invars, inputs, strict=True):
         write(atom, operand)
     for eqn in jaxpr.eqns:
@@ -127,7 +127,7 @@ def _evaluate(program: ClosedJaxpr, inputs: Sequence[Operand], batch: BatchConte
     return [read(atom) for atom in jaxpr.outvars]
 
 
-def _apply(eqn: Any, args: list[Operand], batch: BatchContext) -> list[Operand]:
+def _apply(eqn: Any, args: list[BatchOperand], batch: BatchContext) -> list[BatchOperand]:
     """Results of one operation."""
     name, params, size = eqn.primitive.name, eqn.params, batch.size
     if name in CALL_PRIMITIVES:
@@ -155,11 +155,11 @@ def _apply(eqn: Any, args: list[Operand], batch: BatchContext) -> list[Operand]:
     return _results(batched(*[x.value for x in args]), True)
 
 
-def _results(out: Any, batched: bool, cost: int = 0) -> list[Operand]:
-    return [Operand(x, batched, cost) for x in (out if isinstance(out, list | tuple) else [out])]
+def _results(out: Any, batched: bool, cost: int = 0) -> list[BatchOperand]:
+    return [BatchOperand(x, batched, cost) for x in (out if isinstance(out, list | tuple) else [out])]
 
 
-def _elementwise(eqn: Any, args: list[Operand]) -> Any:
+def _elementwise(eqn: Any, args: list[BatchOperand]) -> Any:
     """Elementwise operation on operands of one rank plus the batch axis; JAX lets scalars stand beside arrays."""
     rank = max(jnp.ndim(x.value) - x.is_batched for x in args)
     whole = eqn.primitive.name in ("select_n", "clamp", "add_any")  # these do not broadcast axes of length 1
@@ -177,23 +177,23 @@ def _elementwise(eqn: Any, args: list[Operand]) -> Any:
     return eqn.primitive.bind(*values, **eqn.params)
 
 
-def _scan(eqn: Any, args: list[Operand], batch: BatchContext) -> list[Operand]:
+def _scan(eqn: Any, args: list[BatchOperand], batch: BatchContext) -> list[BatchOperand]:
     """A loop over the first axis; everything that it carries becomes batched."""
     program = eqn.params["jaxpr"]
     consts, carry, xs = split_scan_operands(eqn, args)
 
     def body(state: list[Array], x: list[Array]) -> tuple[list[Array], list[Array]]:
-        here = [Operand(s, True) for s in state]
-        there = [Operand(v, operand.is_batched) for v, operand in zip(x, xs, strict=True)]
+        here = [BatchOperand(s, True) for s in state]
+        there = [BatchOperand(v, operand.is_batched) for v, operand in zip(x, xs, strict=True)]
         values = [_broadcast_batch(v, batch.size) for v in _evaluate(_closed(program), [*consts, *here, *there], batch)]
         return values[: len(carry)], values[len(carry) :]
 
     loop = {key: eqn.params[key] for key in ("length", "reverse", "unroll")}
     last, ys = lax.scan(body, [_broadcast_batch(x, batch.size) for x in carry], [x.value for x in xs], **loop)
-    return [Operand(x, True) for x in (*last, *ys)]
+    return [BatchOperand(x, True) for x in (*last, *ys)]
 
 
-def _cond(eqn: Any, args: list[Operand], batch: BatchContext) -> list[Operand]:
+def _cond(eqn: Any, args: list[BatchOperand], batch: BatchContext) -> list[BatchOperand]:
     """A branch that is the same for the whole batch."""
 
     def spread(branch: ClosedJaxpr) -> list[Array]:
@@ -202,7 +202,7 @@ def _cond(eqn: Any, args: list[Operand], batch: BatchContext) -> list[Operand]:
     return _results(lax.switch(args[0].value, [partial(spread, branch) for branch in eqn.params["branches"]]), True)
 
 
-def _choose_branches(eqn: Any, args: list[Operand], batch: BatchContext) -> list[Operand]:
+def _choose_branches(eqn: Any, args: list[BatchOperand], batch: BatchContext) -> list[BatchOperand]:
     """A branch of each rollout's own. A branch that no rollout takes is not computed."""
     index, operands = jnp.asarray(args[0].value, jnp.int32), args[1:]
     chosen = [jnp.zeros((*out.aval.shape, batch.size), out.aval.dtype) for out in eqn.outvars]
@@ -217,18 +217,18 @@ def _choose_branches(eqn: Any, args: list[Operand], batch: BatchContext) -> list
     return _results(chosen, True)
 
 
-def _while(eqn: Any, args: list[Operand], batch: BatchContext) -> list[Operand]:
+def _while(eqn: Any, args: list[BatchOperand], batch: BatchContext) -> list[BatchOperand]:
     """A loop that ends when it has ended for all rollouts; one that has ended keeps its values meanwhile."""
     first, second = eqn.params["cond_nconsts"], eqn.params["body_nconsts"]
     read_by_test, read_by_body = args[:first], args[first : first + second]
 
     def goes_on(state: list[Array]) -> Array:
-        (out,) = _evaluate(eqn.params["cond_jaxpr"], [*read_by_test, *(Operand(x, True) for x in state)], batch)
+        (out,) = _evaluate(eqn.params["cond_jaxpr"], [*read_by_test, *(BatchOperand(x, True) for x in state)], batch)
         return _broadcast_batch(out, batch.size)
 
     def body(loop: tuple[Array, list[Array]]) -> tuple[Array, list[Array]]:
         going, state = loop
-        results = _evaluate(eqn.params["body_jaxpr"], [*read_by_body, *(Operand(x, True) for x in state)], batch)
+        results = _evaluate(eqn.params["body_jaxpr"], [*read_by_body, *(BatchOperand(x, True) for x in state)], batch)
         values = (_broadcast_batch(x, batch.size) for x in results)
         state = [jnp.where(going, value, last) for value, last in zip(values, state, strict=True)]
         return going & goes_on(state), state
@@ -242,33 +242,37 @@ def _closed(program: Any) -> ClosedJaxpr:
     return program if isinstance(program, ClosedJaxpr) else ClosedJaxpr(program, ())
 
 
-def _broadcast_in_dim(args: list[Operand], size: int, shape: tuple, broadcast_dimensions: tuple, **_: Any) -> Array:
+def _broadcast_in_dim(
+    args: list[BatchOperand], size: int, shape: tuple, broadcast_dimensions: tuple, **_: Any
+) -> Array:
     return lax.broadcast_in_dim(args[0].value, (*shape, size), (*broadcast_dimensions, len(shape)))
 
 
-def _reshape(args: list[Operand], size: int, new_sizes: tuple, **_: Any) -> Array:
+def _reshape(args: list[BatchOperand], size: int, new_sizes: tuple, **_: Any) -> Array:
     return lax.reshape(args[0].value, (*new_sizes, size))
 
 
-def _transpose(args: list[Operand], size: int, permutation: tuple) -> Array:
+def _transpose(args: list[BatchOperand], size: int, permutation: tuple) -> Array:
     return lax.transpose(args[0].value, (*permutation, len(permutation)))
 
 
-def _slice(args: list[Operand], size: int, start_indices: tuple, limit_indices: tuple, strides: tuple | None) -> Array:
+def _slice(
+    args: list[BatchOperand], size: int, start_indices: tuple, limit_indices: tuple, strides: tuple | None
+) -> Array:
     return lax.slice(args[0].value, (*start_indices, 0), (*limit_indices, size), strides and (*strides, 1))
 
 
-def _pad(args: list[Operand], size: int, padding_config: tuple) -> Array:
+def _pad(args: list[BatchOperand], size: int, padding_config: tuple) -> Array:
     if args[1].is_batched:
         return NotImplemented
     return lax.pad(args[0].value, args[1].value, (*padding_config, (0, 0, 0)))
 
 
-def _concatenate(args: list[Operand], size: int, dimension: int) -> Array:
+def _concatenate(args: list[BatchOperand], size: int, dimension: int) -> Array:
     return lax.concatenate([_broadcast_batch(x, size) for x in args], dimension)
 
 
-def _dot_general(args: list[Operand], size: int, dimension_numbers: tuple, **_: Any) -> Array:
+def _dot_general(args: list[BatchOperand], size: int, dimension_numbers: tuple, **_: Any) -> Array:
     """Sum products one after the other: the matrices have a few rows, the batch is long."""
     (contract_l, contract_r), (batch_l, batch_r) = dimension_numbers
     left, right = ((jnp.asarray(x.value) if x.is_batched else jnp.asarray(x.value)[..., None]) for x in args)
@@ -283,7 +287,7 @@ def _dot_general(args: list[Operand], size: int, dimension_numbers: tuple, **_: 
 
 
 def _gather(
-    args: list[Operand], size: int, dimension_numbers: Any, slice_sizes: tuple, mode: Any, **rest: Any
+    args: list[BatchOperand], size: int, dimension_numbers: Any, slice_sizes: tuple, mode: Any, **rest: Any
 ) -> Array:
     operand, indices = args
     dims = dimension_numbers
@@ -305,7 +309,7 @@ def _gather(
     return lax.gather(operand.value, index, numbers, (*slice_sizes, 1), mode=mode, **rest)
 
 
-def _scatter(put: Callable, args: list[Operand], size: int, dimension_numbers: Any, **rest: Any) -> Array:
+def _scatter(put: Callable, args: list[BatchOperand], size: int, dimension_numbers: Any, **rest: Any) -> Array:
     operand, indices, updates = args
     if indices.is_batched:
         return NotImplemented
@@ -317,7 +321,7 @@ def _scatter(put: Callable, args: list[Operand], size: int, dimension_numbers: A
     return put(_broadcast_batch(operand, size), indices.value, _broadcast_batch(updates, size), numbers, **rest)
 
 
-def _dynamic_update_slice(args: list[Operand], size: int) -> Array:
+def _dynamic_update_slice(args: list[BatchOperand], size: int) -> Array:
     operand, update, *starts = args
     if any(start.is_batched for start in starts):
         return NotImplemented

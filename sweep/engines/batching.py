@@ -12,7 +12,7 @@ from jaxtyping import Array
 from sweep.backends import devices, program_cache
 from sweep.contract.engine import Metrics, MissingTrace, SideMaker, Trace, count_substeps
 from sweep.contract.engine_settings import EngineSettings
-from sweep.controllers.layers import Command, Feedforward
+from sweep.controllers.layers import Command, ForceFeedforward
 from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import TrackerState
 from sweep.core.parameters import InputError
@@ -119,7 +119,7 @@ class BatchEngine:
             plan = nominal_plan(belief)
             pre_rollout.check_control_settings(world, belief, plan)
         self.stages, self.duration = plan.names, float(MAX_DURATION_FACTOR * np.sum(np.asarray(plan.duration)))
-        self._searches = plan.layer(Feedforward) is not None  # for planned forces
+        self._searches = plan.find_layer(ForceFeedforward) is not None  # for planned forces
         self._replans = world.control.replan != "never"
         self._programs: dict[Any, Any] = {}  # by the signature of their arguments
 

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from sweep.controllers import tracker
 from sweep.controllers.layers import Command
-from sweep.controllers.observation import Observation, Sensors, init_sensors, observe
+from sweep.controllers.observation import Observation, SensorState, init_sensors, observe
 from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import TrackerState
 from sweep.core.constants import FOOT_LOAD_THRESHOLD_N
@@ -25,11 +25,11 @@ from sweep.metrics.outcome import OutcomeThresholds
 from sweep.metrics.tick import MAX_DURATION_FACTOR, REST_DURATION_S, MetricTick, RolloutStart, TickReport
 from sweep.models.case import Case
 from sweep.models.disturbance import ExecutionFaults
-from sweep.models.drive import Servo, position_mode
+from sweep.models.drive import ServoCommand, position_command
 from sweep.models.legs import JOINT_Q, JOINT_V, N_JOINTS, N_LEGS
 from sweep.models.noise import Noise
 from sweep.models.obstacles import surface
-from sweep.models.obstacles.charts import point
+from sweep.models.obstacles.charts import stack_point
 from sweep.models.obstacles.surface import (
     BodyPoses,
     FreeState,
@@ -55,10 +55,10 @@ class ClosedLoop(NamedTuple):
     """State of controller, sensors and metrics of one rollout between two control ticks."""
 
     tracker: TrackerState
-    sensors: Sensors | None  # None for exact measurements
+    sensors: SensorState | None  # None for exact measurements
     running: RunningMetrics
     actual: Observation  # exact observation at the end of the last tick
-    servo: Servo  # drive target of the last tick
+    servo: ServoCommand  # drive target of the last tick
     key: Array
     learned: LearnedState
 
@@ -157,7 +157,7 @@ def _beneath(obstacle: Obstacle, feet: Float[Array, "6 3"], up: Float[Array, " 3
 
 def apply_placement_error(execution: ExecutionFaults, start: Stance) -> Stance:
     """Displace the start pose by the placement error of `execution` (m, and rad about the vertical)."""
-    position = start.position + point(execution.start_x, execution.start_y, 0.0)
+    position = start.position + stack_point(execution.start_x, execution.start_y, 0.0)
     turn = rotation_about_vertical(jnp.asarray(execution.start_yaw, float))
     feet = position + rotate(turn[None], start.feet - start.position)
     return Stance(feet, position, multiply(turn, start.quat))
@@ -231,7 +231,7 @@ def init_loop(
         sensors = init_sensors(world.noise, bias_key, marked, has_errors=sensing == "noisy")
     feet = feet_in_world(world.robot, obs.position, obs.quat, obs.angles)
     running = accumulator.begin(RolloutStart(world, plan, obs.position, obs.quat, feet, obs.free, energy, learned))
-    servo = position_mode(world.drive, obs.angles)
+    servo = position_command(world.drive, obs.angles)
     return ClosedLoop(tracker.init(belief, plan, exact=sensing == "exact"), sensors, running, obs, servo, key, learned)
 
 
@@ -275,11 +275,11 @@ def run_controller(
         belief = updated_belief(belief, learned)
     truth = None if sensors is None else loop.actual
     state, command = tracker.step(belief, plan, state, obs, period, foothold_offset, truth)
-    servo = position_mode(world.drive, command.joints - obs.joint_error)
+    servo = position_command(world.drive, command.joints - obs.joint_error)
     if command.servo is not None:
         has_law, law = command.servo
         law = law._replace(target=law.target - obs.joint_error)
-        servo = Servo(*[jnp.where(has_law, a, b) for a, b in zip(law, servo, strict=True)])
+        servo = ServoCommand(*[jnp.where(has_law, a, b) for a, b in zip(law, servo, strict=True)])
     return loop._replace(tracker=state, sensors=sensors, servo=servo, learned=learned), command
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sweep.contract.engine import Trace
-from sweep.controllers.layers import Feedforward, interpolate_moments
+from sweep.controllers.layers import ForceFeedforward, interpolate_moments
 from sweep.core.constants import FOOT_LOAD_THRESHOLD_N, GRAVITY
 from sweep.engines.closed_loop import free_body_state
 from sweep.models.obstacles.surface import Obstacle, Surface, body_poses, surface_at
@@ -57,7 +57,7 @@ def planned_contact_forces(trace: Trace) -> ContactForces | None:
 
 def _plan(belief):
     plan = belief.manoeuvre.plan(belief)
-    return plan, None if plan.layer(Feedforward) is None else belief.manoeuvre.force_plan(belief, plan).force
+    return plan, None if plan.find_layer(ForceFeedforward) is None else belief.manoeuvre.force_plan(belief, plan).force
 
 
 def surfaces_under(trace: Trace, points: np.ndarray, frames: slice | np.ndarray = slice(None)) -> Surface:

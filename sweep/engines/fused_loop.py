@@ -15,11 +15,11 @@ from sweep.contract.engine import TimeSeriesRequest
 from sweep.contract.engine_settings import EngineSettings
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
-from sweep.engines.planning import Planning
+from sweep.engines.planning import CompiledPlanning
 from sweep.engines.states import select_columns
 from sweep.estimation.belief_update import LearnedState
 from sweep.fused import eager
-from sweep.fused.arrays import Unsupported
+from sweep.fused.arrays import UnsupportedPrimitive
 from sweep.fused.eager import NumpyProgram
 from sweep.fused.kernel import Kernel, Tiles
 from sweep.models.case import Case
@@ -39,7 +39,7 @@ class FusedBatch(NamedTuple):
 class FusedPrograms(NamedTuple):
     """Programs of a batch: planning, the kernel of the closed loop, and the metrics at the end."""
 
-    planning: Planning
+    planning: CompiledPlanning
     kernel: Kernel
     metrics: Callable[..., dict[str, Array]]
     replan: Callable[..., LearnedState] | None  # plans again before each chunk; None if the scenario does not
@@ -52,7 +52,7 @@ class FusedPrograms(NamedTuple):
         plans, carry = self.planning(world, belief, keys)
         return plans, FusedBatch(self.kernel.load_batch((world, belief, plans), carry, self.width))
 
-    def chunk(
+    def simulate_chunk(
         self, world: Case, belief: Case, plans: Plan, carry: FusedBatch, tick: int, slots: np.ndarray | None
     ) -> tuple[FusedBatch, Any]:
         """Simulate one chunk of control ticks.
@@ -112,16 +112,16 @@ def trace_or_compile(
     """
     try:
         return eager.trace(function, *shapes)
-    except Unsupported:
+    except UnsupportedPrimitive:
         return by_xla()
 
 
-def bind_width(program: NumpyProgram | Compiled, width: int) -> Callable[..., Any]:
+def bind_batch_width(program: NumpyProgram | Compiled, width: int) -> Callable[..., Any]:
     """Turn a program of a rollout (`NumpyProgram`) or a batch (`Compiled`) into a function over batches of `width`."""
     return functools.partial(*(program, width) if isinstance(program, NumpyProgram) else (devices.run_program, program))
 
 
-def return_missing_rule(compile_programs: Callable[..., tuple]) -> Callable[..., tuple]:
+def catch_missing_rule(compile_programs: Callable[..., tuple]) -> Callable[..., tuple]:
     """Wrap a function that compiles programs: where the fused compiler has no rule, it returns the rule's name instead.
 
     So the cache can store that the programs cannot be fused.
@@ -131,7 +131,7 @@ def return_missing_rule(compile_programs: Callable[..., tuple]) -> Callable[...,
     def with_missing_rule(*args: Any) -> tuple:
         try:
             return compile_programs(*args)
-        except Unsupported as missing:
+        except UnsupportedPrimitive as missing:
             return (str(missing),)
 
     return with_missing_rule

@@ -38,7 +38,7 @@ from sweep.engines.closed_loop import (
     update_metrics,
 )
 from sweep.engines.fused_loop import FusedPrograms, single_rollout_shapes
-from sweep.engines.planning import Planning
+from sweep.engines.planning import CompiledPlanning
 from sweep.engines.pre_rollout import prepare_belief
 from sweep.engines.states import available_columns, select_columns
 from sweep.estimation.belief_update import replan_rest
@@ -49,7 +49,7 @@ from sweep.metrics.outcome import OutcomeThresholds
 from sweep.models.case import Case
 
 
-class Carry(NamedTuple):
+class RolloutCarry(NamedTuple):
     """State of one rollout between two control ticks."""
 
     state: PhysicsState
@@ -65,7 +65,7 @@ class XlaPrograms(NamedTuple):
     """Compiled programs of a batch: planning, a chunk of control ticks, and the metrics at the end."""
 
     start: Callable[[Case, Case, Array], tuple[Plan, Any]]
-    chunk: Callable[[Case, Case, Plan, Any, int, Any], tuple[Any, Any]]
+    simulate_chunk: Callable[[Case, Case, Plan, Any, int, Any], tuple[Any, Any]]
     finish: Callable[[Case, Plan, Any], dict[str, Array]]
 
 
@@ -119,7 +119,7 @@ class MjxEngine(BatchEngine):
             plans, carry = programs.start(world, belief, keys)
             records = []
             for tick in range(0, count_ticks(plans, self.settings.control_period), self._chunk_ticks):
-                carry, record = programs.chunk(world, belief, plans, carry, tick, kept)
+                carry, record = programs.simulate_chunk(world, belief, plans, carry, tick, kept)
                 first = (every - 1 - tick) % every
                 records.append(jax.tree.map(lambda x, first=first: np.asarray(x)[first::every][:, places], record))
                 # on the host, since collective operations among devices can hang
@@ -198,7 +198,7 @@ class MjxEngine(BatchEngine):
         again: NumpyProgram | Compiled | None = None,
         machine: driver.GpuKernel | None = None,
     ) -> XlaPrograms | FusedPrograms:
-        begin, end = Planning.from_programs(start, searches), fused_loop.bind_width(finish, self.width)
+        begin, end = CompiledPlanning.from_programs(start, searches), fused_loop.bind_batch_width(finish, self.width)
         if not isinstance(chunk, KernelCode):
             if machine:
                 driver.add_kernel(machine)
@@ -206,7 +206,7 @@ class MjxEngine(BatchEngine):
             return XlaPrograms(
                 begin if compiled else lambda *args: devices.put_on_devices(begin(*args), self._mesh), chunk, end
             )
-        new = again and fused_loop.bind_width(again, self.width)
+        new = again and fused_loop.bind_batch_width(again, self.width)
         return FusedPrograms(begin, Kernel(chunk), end, new, self._chunk_ticks, self.width, None)
 
     @property
@@ -225,7 +225,7 @@ class MjxEngine(BatchEngine):
             model,
         )
 
-    @fused_loop.return_missing_rule
+    @fused_loop.catch_missing_rule
     def _compile(
         self,
         arrays: tuple[Case, Case, Array],
@@ -333,7 +333,9 @@ class MjxEngine(BatchEngine):
             self._tick, *form, over, self._chunk_ticks, room, width, small_batch=self._uses_numpy
         )
 
-        def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, slots: Array | None) -> Any:
+        def chunk(
+            world: Case, belief: Case, plans: Plan, carry: RolloutCarry, first: Array, slots: Array | None
+        ) -> Any:
             if self._replans:
                 carry = _replan_batch(devices.batch_axes(arrays[1]))(belief, plans, carry)
             carry, record = launch.run_kernel(code, (world, belief, plans), carry, first, slots)
@@ -351,12 +353,14 @@ class MjxEngine(BatchEngine):
         last = jax.tree.map(lambda _: -1, (*axes, batch[0]))  # batch axes after `_batch_last`
         tick = batch_last_vmap(self._tick, (last, -1, None), devices.recomputation_cost_threshold())
 
-        def chunk(world: Case, belief: Case, plans: Plan, carry: Carry, first: Array, slots: Array | None) -> Any:
+        def chunk(
+            world: Case, belief: Case, plans: Plan, carry: RolloutCarry, first: Array, slots: Array | None
+        ) -> Any:
             if self._replans:
                 carry = _replan_batch(axes[1])(belief, plans, carry)
             given, carry = _batch_last(((world, belief, plans), carry))
 
-            def body(carry: Carry, k: Array) -> tuple[Carry, Any]:
+            def body(carry: RolloutCarry, k: Array) -> tuple[RolloutCarry, Any]:
                 carry, record = tick(given, carry, k)
                 if slots is None:
                     return carry, None
@@ -373,7 +377,7 @@ class MjxEngine(BatchEngine):
         """Return the metrics of one rollout, see `BatchEngine.rollout_outputs`."""
         plan, carry = self._start(classify_sensing(world.noise), world, belief, key)
 
-        def tick(carry: Carry, number: Array) -> tuple[Carry, None]:
+        def tick(carry: RolloutCarry, number: Array) -> tuple[RolloutCarry, None]:
             if self._replans:
                 learned = replan_rest(belief, plan, carry.loop.tracker.stage, carry.loop.learned)
                 carry = carry._replace(loop=carry.loop._replace(learned=learned))
@@ -382,24 +386,26 @@ class MjxEngine(BatchEngine):
         carry, _ = jax.lax.scan(tick, carry, jnp.arange(self._chunk_ticks))
         return self._finish(world, plan, carry)
 
-    def _start(self, sensing: SensingMode, world: Case, belief: Case, key: Array) -> tuple[Plan, Carry]:
+    def _start(self, sensing: SensingMode, world: Case, belief: Case, key: Array) -> tuple[Plan, RolloutCarry]:
         known, plan, learned = prepare_belief(world, belief, key)
         start = start_state(world, known, plan, start_at_rest(world))
         state = state_at_rest(self.topology, start.qpos)._replace(v=start.qvel)
         energy = self.physics.energy(world, state)
-        return plan, Carry(state, init_loop(world, known, plan, start, energy, key, learned, sensing))
+        return plan, RolloutCarry(state, init_loop(world, known, plan, start, energy, key, learned, sensing))
 
-    def _finish(self, world: Case, plan: Plan, carry: Carry) -> dict[str, Array]:
+    def _finish(self, world: Case, plan: Plan, carry: RolloutCarry) -> dict[str, Array]:
         return compute_metrics(world, plan, carry.loop)
 
-    def _tick(self, inputs: tuple[Case, Case, Plan], carry: Carry, tick: Array) -> tuple[Carry, dict[str, Array]]:
+    def _tick(
+        self, inputs: tuple[Case, Case, Plan], carry: RolloutCarry, tick: Array
+    ) -> tuple[RolloutCarry, dict[str, Array]]:
         world, belief, plan = inputs
         period, old = self.settings.control_period, carry.loop.servo
         loop, command = run_controller(world, belief, plan, carry.loop, tick, period)
         state, summary = self.physics.advance(world, carry.state, old, loop.servo, tick)
         loop, judged = update_metrics(world, plan, self.limits, loop, command, summary, tick, period)
         record = batching.record_tick(command, loop.tracker, summary, state.q, state.v, judged)
-        return Carry(state, loop), record
+        return RolloutCarry(state, loop), record
 
 
 def _uses_fused_compiler(settings: EngineSettings) -> bool:
@@ -410,10 +416,10 @@ def _uses_fused_compiler(settings: EngineSettings) -> bool:
     return settings.is_fusible and known
 
 
-def _replan_batch(axes: Case) -> Callable[[Case, Plan, Carry], Carry]:
+def _replan_batch(axes: Case) -> Callable[[Case, Plan, RolloutCarry], RolloutCarry]:
     """Batched replanning; `axes` are the batch axes of the belief."""
 
-    def one(belief: Case, plan: Plan, carry: Carry) -> Carry:
+    def one(belief: Case, plan: Plan, carry: RolloutCarry) -> RolloutCarry:
         loop = carry.loop
         return carry._replace(loop=loop._replace(learned=replan_rest(belief, plan, loop.tracker.stage, loop.learned)))
 

@@ -43,7 +43,7 @@ from sweep.engines.closed_loop import (
     update_metrics,
 )
 from sweep.engines.physics import push_force
-from sweep.engines.planning import Planning
+from sweep.engines.planning import CompiledPlanning
 from sweep.engines.pre_rollout import prepare_belief
 from sweep.engines.states import select_columns
 from sweep.estimation.belief_update import LearnedState, replan_rest
@@ -55,7 +55,7 @@ from sweep.metrics.outcome import OutcomeThresholds
 from sweep.metrics.tick import TickReport
 from sweep.models import scene
 from sweep.models.case import Case
-from sweep.models.drive import Servo, interpolate_target
+from sweep.models.drive import ServoCommand, interpolate_target
 from sweep.models.legs import JOINT_V, N_JOINTS, N_LEGS
 from sweep.models.obstacles.surface import FreeState, body_poses, surface_at
 from sweep.models.robot import link_names
@@ -191,7 +191,7 @@ class NativeEngine(BatchEngine):
                 if programs.replan and k % round(CHUNK_DURATION_S / self.settings.control_period) == 0:
                     known = running_batch.read(lambda state: (state.loop.tracker.stage, state.loop.learned))
                     running_batch.replace(lambda state: state.loop.learned, programs.replan(belief, plans, *known))
-                if plans.layer(Flywheel) is not None:
+                if plans.find_layer(Flywheel) is not None:
                     gains = _update_gains(
                         batch, models, gains, _gains(running_batch.read(lambda state: state.loop.servo))
                     )
@@ -258,9 +258,9 @@ class NativeEngine(BatchEngine):
                 self.fused = False
                 return self._prepare(arrays, sensing)
             start, searches, tick, *rest = parts
-            finish, again = (one and fused_loop.bind_width(one, self.width) for one in rest)
+            finish, again = (one and fused_loop.bind_batch_width(one, self.width) for one in rest)
             tick = Kernel(tick) if isinstance(tick, KernelCode) else tick
-            self._programs[form] = NativePrograms(Planning.from_programs(start, searches), tick, finish, again)
+            self._programs[form] = NativePrograms(CompiledPlanning.from_programs(start, searches), tick, finish, again)
         return self._programs[form]
 
     def rollout_outputs(self, world: Case, belief: Case, key: Array) -> Any:
@@ -302,7 +302,7 @@ class NativeEngine(BatchEngine):
         loop, judged = update_metrics(world, plan, self.limits, state.loop, state.command, summary, k - 1, period)
         return self._run_controller(world, belief, plan, loop, state.steps, judged, k), {}
 
-    @fused_loop.return_missing_rule
+    @fused_loop.catch_missing_rule
     def _compile(self, arrays: tuple[Case, Case, Array], sensing: SensingMode) -> tuple[Any, ...]:
         world, belief, _ = arrays
         axes, start = devices.batch_axes((world, belief)), partial(self._start, sensing)
@@ -464,7 +464,7 @@ def _twists(steps: StepRecord, count: int) -> Float[Array, "n 6k"]:
     return jnp.concatenate([free.velocity, free.turn], axis=-1).reshape(len(steps.qpos), 6 * count)
 
 
-def _gains(servo: Servo) -> Float[np.ndarray, "b 18 2"]:
+def _gains(servo: ServoCommand) -> Float[np.ndarray, "b 18 2"]:
     """Stiffness and damping of every joint."""
     return np.stack([np.asarray(servo.stiffness), np.asarray(servo.damping)], axis=-1).reshape(-1, N_JOINTS, 2)
 

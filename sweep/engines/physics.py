@@ -17,15 +17,15 @@ from sweep.contract.engine_settings import EngineSettings
 from sweep.core.vectors import Vector
 from sweep.dynamics import step as dynamics
 from sweep.dynamics import tree
-from sweep.dynamics.interface import SmoothDynamics, Topology
+from sweep.dynamics.interface import ModelTopology, SmoothDynamics
 from sweep.dynamics.spatial import JointTriple, map_joints
-from sweep.dynamics.step import DriveLimits, PhysicsState, StepReport, StepStart, from_components, to_components
+from sweep.dynamics.step import DriveLimits, PhysicsState, StepReport, StepStart, join_components, split_into_components
 from sweep.engines import batching
 from sweep.engines.closed_loop import exact_observation
 from sweep.metrics.tick import TickReport
 from sweep.models.case import Case
 from sweep.models.disturbance import ExecutionFaults
-from sweep.models.drive import Servo, interpolate_target
+from sweep.models.drive import ServoCommand, interpolate_target
 from sweep.models.legs import N_JOINTS, N_LEGS
 from sweep.models.obstacles.surface import BodyPoses
 from sweep.models.robot import link_names
@@ -36,7 +36,7 @@ def dynamics_name(settings: EngineSettings) -> str:
     return "arrowhead" if settings.dynamics == "auto" else settings.dynamics
 
 
-def make_physics(settings: EngineSettings, top: Topology) -> "TickPhysics":
+def make_physics(settings: EngineSettings, top: ModelTopology) -> "TickPhysics":
     """Make the physics of a scenario.
 
     Args:
@@ -134,10 +134,10 @@ class TickPhysics(NamedTuple):
 
     def energy(self, world: Case, state: PhysicsState) -> Array:
         """Kinetic and potential energy (J)."""
-        return dynamics.mechanical_energy(self.smooth_dynamics(world), world, to_components(state))[0]
+        return dynamics.mechanical_energy(self.smooth_dynamics(world), world, split_into_components(state))[0]
 
     def advance(
-        self, world: Case, state: PhysicsState, servo_before: Servo, servo_after: Servo, tick: Array
+        self, world: Case, state: PhysicsState, servo_before: ServoCommand, servo_after: ServoCommand, tick: Array
     ) -> tuple[PhysicsState, TickReport]:
         """Simulate one control tick.
 
@@ -163,8 +163,10 @@ class TickPhysics(NamedTuple):
             return (moving, totals.add_step(report), report.normal, report.start), None
 
         nothing = _initial_totals(world, state.q.dtype)
-        (moving, totals, load, before), _ = jax.lax.scan(substep, (to_components(state), *nothing), jnp.arange(n))
-        state = from_components(moving)
+        (moving, totals, load, before), _ = jax.lax.scan(
+            substep, (split_into_components(state), *nothing), jnp.arange(n)
+        )
+        state = join_components(moving)
         force, normal = (1 / n) * totals.force, totals.normal / n
         along = force - normal * before.normal
         return state, TickReport(

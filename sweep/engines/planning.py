@@ -19,26 +19,28 @@ from jaxtyping import Array, Float, Shaped
 from sweep.backends import devices
 from sweep.core.progress import time_step_part
 from sweep.fused import eager, kernel
-from sweep.fused.arrays import Unsupported
+from sweep.fused.arrays import UnsupportedPrimitive
 from sweep.fused.eager import NumpyProgram
 from sweep.fused.kernel import Kernel, KernelCode
 from sweep.models.legs import N_LEGS
 from sweep.planning import forces
-from sweep.planning.forces import Bounds, Effort, ForceProblem, SearchState, StaticPose
+from sweep.planning.forces import Effort, ForceBounds, ForcePlanningPose, ForceProblem, SearchState
 
 StartFunction = Callable[..., Any]  # function of a rollout's world, belief and random key
-StoredPlanning = tuple[NumpyProgram | Compiled, dict[str, KernelCode]]  # of `Planning`, as the cache stores them
+StoredPlanning = tuple[
+    NumpyProgram | Compiled, dict[str, KernelCode]
+]  # of `CompiledPlanning`, as the cache stores them
 POSES_PER_SLICE = 1 << 16  # poses that are in memory at a time
 
 
-class Planning(NamedTuple):
+class CompiledPlanning(NamedTuple):
     """A compiled start of a batch, with kernels that search for planned forces, by the names of `forces.SEARCHES`."""
 
     program: NumpyProgram | Compiled
     searches: dict[str, Kernel]
 
     @classmethod
-    def from_programs(cls, program: NumpyProgram | Compiled, searches: dict[str, KernelCode]) -> "Planning":
+    def from_programs(cls, program: NumpyProgram | Compiled, searches: dict[str, KernelCode]) -> "CompiledPlanning":
         """Load the programs that the cache stores."""
         return cls(program, {name: Kernel(code) for name, code in searches.items()})
 
@@ -72,7 +74,7 @@ def start_compilation(
         Shapes of the results for a batch, and a function that waits for the programs.
     """
     if use_numpy:
-        with suppress(Unsupported), time_step_part("plan"):
+        with suppress(UnsupportedPrimitive), time_step_part("plan"):
             program = eager.trace(start, *key_and_case_shapes(arrays), external=forces.SEARCHES)
             return batch_shapes(program.result_shapes, len(arrays[2])), lambda: (program, _compile_searches(program))
     lowered = jax.jit(batch_start(start)).lower(*arrays)
@@ -137,8 +139,8 @@ def _compile_search(least: Effort, problems: tuple[jax.ShapeDtypeStruct, ...]) -
 
 
 def _force_problem(leaves: Any) -> ForceProblem:
-    pose = len(StaticPose._fields)
-    return ForceProblem(StaticPose(*leaves[:pose]), Bounds(*leaves[pose:]))
+    pose = len(ForcePlanningPose._fields)
+    return ForceProblem(ForcePlanningPose(*leaves[:pose]), ForceBounds(*leaves[pose:]))
 
 
 def _search_forces(search: Kernel, *problems: Shaped[np.ndarray, "n ... b"]) -> Float[np.ndarray, "n 6 3 b"]:

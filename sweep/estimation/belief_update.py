@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from sweep.controllers.layers import Feedforward, HeldLegs
+from sweep.controllers.layers import ForceFeedforward, HeldLegs
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, stage_end_stances
 from sweep.controllers.tracker import TrackerState
@@ -15,7 +15,7 @@ from sweep.estimation import touch
 from sweep.estimation.calibration import CalibrationResult
 from sweep.estimation.touch import TouchState
 from sweep.models.case import Case
-from sweep.models.frames import body_frame
+from sweep.models.frames import body_frame_number
 from sweep.models.obstacles.surface import Obstacle, free_start_state, landmarks
 from sweep.models.posture import joint_targets
 
@@ -87,7 +87,7 @@ def update_from_touch(
     foothold_offset = jnp.where(swings[:, None], moves, 0.0)
     patience = jnp.where(jnp.any(searches & swings), jnp.inf, plan.patience)
     # With planned forces, footholds of loaded feet follow the measured feet already.
-    follows = ~swings if plan.layer(Feedforward) is None else ~swings & ~obs.loaded
+    follows = ~swings if plan.find_layer(ForceFeedforward) is None else ~swings & ~obs.loaded
     state = state._replace(feet=state.feet + jnp.where(follows[:, None], moves, 0.0))
     return state, replace(plan, patience=patience), foothold_offset, learned._replace(touch=touched)
 
@@ -106,7 +106,7 @@ def replan_rest(belief: Case, plan: Plan, stage: Int[Array, ""], learned: Learne
     current = learned.plan or plan
     latest = updated_belief(belief, learned)
     fresh = replace(latest.manoeuvre.plan(latest), start=current.start)
-    if (forces := current.layer(Feedforward)) is not None:
+    if (forces := current.find_layer(ForceFeedforward)) is not None:
         fresh = fresh.with_layer(forces)
     is_finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(fresh)]))
     remaining = jnp.arange(plan.duration.shape[0]) > stage
@@ -126,7 +126,7 @@ def _shift_in_body_frames(plan: Plan, shift: Float[Array, "k 3"]) -> Plan:
     """Shift the plan's points in body-fixed frames by `shift` (m)."""
 
     def shift_in(frame: Array) -> Array:
-        return sum(((frame == body_frame(k))[..., None] * shift[k] for k in range(shift.shape[0])), jnp.zeros(3))
+        return sum(((frame == body_frame_number(k))[..., None] * shift[k] for k in range(shift.shape[0])), jnp.zeros(3))
 
     feet, base = shift_in(plan.foot_frame), shift_in(plan.base_frame)
     curve = plan.curve._replace(guides=plan.curve.guides + feet[..., None, :])
@@ -138,5 +138,5 @@ def _shortfall(belief: Case, plan: Plan) -> Float[Array, " s"]:
     """Distance (m) of the worst foot beyond its reach at the end of each stage, with free bodies where they start."""
     last = stage_end_stances(plan, free_start_state(belief.obstacle))
     out = jax.vmap(lambda stance: joint_targets(belief.robot, stance)[1])(last)
-    legs = plan.layer(HeldLegs)
+    legs = plan.find_layer(HeldLegs)
     return jnp.max(out if legs is None else jnp.where(legs.held, 0.0, out), axis=1)

@@ -209,7 +209,7 @@ def touch_tick(
 
     places, commanded, swing_start = feet(obs.angles), feet(state.joints), to_world(state.feet, frame, rest)
     outside = jnp.sum((places - to_world(plan.foothold[stage], frame, rest)) * normal, axis=1)
-    legs = plan.layer(HeldLegs)
+    legs = plan.find_layer(HeldLegs)
     follows_footholds = jnp.ones(N_LEGS, bool) if legs is None else ~legs.held[stage]
     stands = follows_footholds & ~plan.swing[stage]
     lands = stands & obs.loaded & ~touch_state.has_landed

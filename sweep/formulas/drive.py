@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from sweep.formulas.formula import Input, Scalar, formula, positive_input
 
 
-class ServoGains(NamedTuple):
+class ServoResponse(NamedTuple):
     """Response of a servo: `torque` at the joint (N m), and the closed loop's poles (1/s), the fastest first."""
 
     chi2: Annotated[Float[Array, "..."], "N*m*s/rad"]
@@ -27,7 +27,7 @@ def servo(
     delta: Annotated[Scalar, Input("N*m*s/rad", 100.0, at_least=0)],
     umax: Annotated[Scalar, positive_input("N*m", 150.0)],
     J: Annotated[Scalar, positive_input("kg*m^2", 1.0)],
-) -> ServoGains:
+) -> ServoResponse:
     """Torque of a joint drive and the poles of its closed loop.
 
     With clipped control and back-EMF; the poles are those about an inertia J.
@@ -48,7 +48,7 @@ def servo(
     imaginary = jnp.where(discriminant < 0, swing, 0.0)
     poles_re = jnp.stack(jnp.broadcast_arrays(fast, slow), axis=-1)
     poles_im = jnp.stack(jnp.broadcast_arrays(-imaginary, imaginary), axis=-1)
-    return ServoGains(chi2, torque, poles_re, poles_im)
+    return ServoResponse(chi2, torque, poles_re, poles_im)
 
 
 class ServoDelay(NamedTuple):

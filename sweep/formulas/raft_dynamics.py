@@ -52,7 +52,7 @@ class RaftBody(NamedTuple):
     rs: Annotated[Float[Array, " 3"], Input("m", (0.0, 0.0, 0.03))]
 
 
-def wrench(
+def raft_wrench(
     raft: RaftBody, z: Scalar, R: Float[Array, "3 3"], v: Float[Array, " 3"], w: Float[Array, " 3"]
 ) -> tuple[Float[Array, " 3"], Float[Array, " 3"]]:
     """Buoyancy, drag and weight of a raft in motion: monograph (4.2.1).
@@ -93,13 +93,13 @@ def raft_linear(raft: RaftBody) -> RaftLinearization:
 
     Coefficients of (4.2.7) about the level raft at rest (SI units).
 
-    Differentiates `wrench`: friction of the bottom acts at the depth d, so that h14 = 4 k a b d and heave is not
+    Differentiates `raft_wrench`: friction of the bottom acts at the depth d, so that h14 = 4 k a b d and heave is not
     damped in first order; the load turns with the raft.
     """
 
     def at(motion: Float[Array, " 12"]) -> Float[Array, " 6"]:
         shift, turn, v, w = jnp.split(motion, 4)
-        return jnp.concatenate(wrench(raft, shift[2] - raft.zeta0, jnp.eye(3) + _cross(turn), v, w))
+        return jnp.concatenate(raft_wrench(raft, shift[2] - raft.zeta0, jnp.eye(3) + _cross(turn), v, w))
 
     return RaftLinearization(jax.jacfwd(at)(jnp.zeros(12)))
 
@@ -203,7 +203,7 @@ def integrate(
 def state_derivative(raft: RaftBody, state: Float[Array, " 18"]) -> Float[Array, " 18"]:
     """Time derivative of a raft's state, whose layout the module describes: monograph (4.2.1), (4.2.3)."""
     r, R, v, w = split_state(state)
-    force, moment = wrench(raft, r[2], R, v, w)
+    force, moment = raft_wrench(raft, r[2], R, v, w)
     spin = (moment - jnp.cross(w, raft.J * w)) / raft.J
     return jnp.concatenate([v, (R @ _cross(w)).ravel(), force / raft.M, spin])
 

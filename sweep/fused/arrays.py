@@ -18,9 +18,9 @@ from sweep.fused.program import (
     Address,
     LegIndex,
     LegReduction,
+    MemoryRegion,
     Node,
     Program,
-    Region,
     Store,
     constant_value,
     is_uniform,
@@ -48,7 +48,7 @@ class RowUpdate:
     new_row: Array  # (1, ...), the row
 
 
-class Unsupported(Exception):
+class UnsupportedPrimitive(Exception):
     """Raised for a JAX primitive, or a form of it, that the fused compiler has no rule for."""
 
 
@@ -74,7 +74,7 @@ class ArrayBuilder:
             return args[0].args[0]
         return self.program.node(name, args, dtype)
 
-    def lift(self, name: str, args: Sequence[Array], dtype: str) -> Array:
+    def map_elements(self, name: str, args: Sequence[Array], dtype: str) -> Array:
         """Apply an operation element by element, and once for all legs along an axis of theirs.
 
         Args:
@@ -115,7 +115,7 @@ class ArrayBuilder:
         shape = tuple(x.shape[d] for d in kept)
         if legs is None:  # along a remaining axis it may still be one operation for all legs
             parts = slices_along(rows.reshape(*shape, -1), -1)
-            return reduce(lambda total, one: self.lift(name, [total, one], np.dtype(dtype).name), parts)
+            return reduce(lambda total, one: self.map_elements(name, [total, one], np.dtype(dtype).name), parts)
         rows = np.moveaxis(rows, len(kept) + legs, -1)
 
         def total(index: tuple) -> Node:
@@ -138,7 +138,7 @@ class ArrayBuilder:
             total = self.emit(name, total.dtype, total, x)
         return total
 
-    def choose(self, index: Array, cases: Sequence[Array]) -> Array:
+    def select_by_index(self, index: Array, cases: Sequence[Array]) -> Array:
         """Select, element by element, the case that `index` names.
 
         Args:
@@ -147,11 +147,11 @@ class ArrayBuilder:
         """
         dtype = cases[0].flat[0].dtype if cases[0].size else "float32"
         if len(cases) == 2 and (not index.size or index.flat[0].dtype == "bool"):
-            return self.lift("select", [index, cases[1], cases[0]], dtype)
+            return self.map_elements("select", [index, cases[1], cases[0]], dtype)
         result, kind = cases[-1], index.flat[0].dtype if index.size else "int32"
         for k in reversed(_run_ends(cases)):
-            first = self.lift("le", [index, self.constant(np.asarray(k, kind))], "bool")
-            result = self.lift("select", [first, cases[k], result], dtype)
+            first = self.map_elements("le", [index, self.constant(np.asarray(k, kind))], "bool")
+            result = self.map_elements("select", [first, cases[k], result], dtype)
         return result
 
     # the legs
@@ -212,7 +212,7 @@ class ArrayBuilder:
 
     # memory
 
-    def load(self, region: Region, index: int, depth: int) -> Node:
+    def load(self, region: MemoryRegion, index: int, depth: int) -> Node:
         """Number `index` of a memory region, as the block at `depth` sees it."""
         return self.program.node("load", (), region.dtype, Address(region, index, depth, 0), leg=False)
 
@@ -221,7 +221,7 @@ class ArrayBuilder:
         at = np.arange(math.prod(shape)).reshape(shape)
         return build_array(shape, lambda i: self.load(region, int(at[i]), depth))
 
-    def save(self, region: Region | None, x: Array | RowUpdate, items: list[Any]) -> None:
+    def save(self, region: MemoryRegion | None, x: Array | RowUpdate, items: list[Any]) -> None:
         """Store an array to a region; numbers that the region holds already are skipped.
 
         Args:
@@ -240,7 +240,7 @@ class ArrayBuilder:
             if not unchanged:
                 items.append(store)
 
-    def _stores(self, region: Region, x: Array) -> Iterator[Store]:
+    def _stores(self, region: MemoryRegion, x: Array) -> Iterator[Store]:
         rows = (
             np.moveaxis(np.arange(x.size).reshape(x.shape), 0, -1).reshape(-1, self.group)
             if x.ndim and x.shape[0] == self.group
@@ -260,7 +260,7 @@ class ArrayBuilder:
             if k not in done:
                 yield Store(region, k, node)
 
-    def _memory(self, x: Array) -> tuple[Region, int, int] | None:
+    def _memory(self, x: Array) -> tuple[MemoryRegion, int, int] | None:
         """Region, first index and depth of an array that lies in memory unchanged; else None."""
         if not x.size or x.flat[0].op != "load":
             return None
@@ -300,8 +300,8 @@ class ArrayBuilder:
             windows = [np.take(x, range(k, k + sizes[d]), axis=d) for k in range(last[d] + 1)]
             many *= len(_run_ends(windows)) + 1
             if many > MAX_CHAINED_SELECTS:
-                raise Unsupported("a choice among many numbers that are not in memory")
-            x = self.choose(np.full(windows[0].shape, starts[d], object), windows)
+                raise UnsupportedPrimitive("a choice among many numbers that are not in memory")
+            x = self.select_by_index(np.full(windows[0].shape, starts[d], object), windows)
         return x
 
     def resolve_update(self, x: Array | RowUpdate) -> Array:
@@ -352,8 +352,8 @@ class ArrayBuilder:
                     here = same if here is None else self.emit("and", "bool", here, same)
             window = tuple(slice(k, k + m) for k, m in zip(place, update.shape, strict=True))
             dtype = x.flat[0].dtype
-            new = update if combine is None else self.lift(combine, [x[window], update], dtype)
-            x[window] = new if here is None else self.lift(
+            new = update if combine is None else self.map_elements(combine, [x[window], update], dtype)
+            x[window] = new if here is None else self.map_elements(
                 "select", [np.full(update.shape, here, object), new, x[window]], dtype)  # fmt: skip
 
     def clamp_index(self, start: Node, most: int) -> Node:

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweep.fused import lanes
-from sweep.fused.arrays import Unsupported
+from sweep.fused.arrays import UnsupportedPrimitive
 from sweep.fused.lanes import RECOMPUTED_OPERATIONS, KernelPart, MemoryPlace
 from sweep.fused.program import (
     Address,
@@ -28,13 +28,13 @@ from sweep.fused.program import (
     LegReduction,
     Loop,
     LoopCount,
+    MemoryRegion,
     Node,
-    Region,
     Store,
     StoredNode,
     constant_value,
 )
-from sweep.fused.text import INTRINSICS, LLVM_TYPES, LlvmText
+from sweep.fused.text import INTRINSICS, LLVM_TYPES, LlvmFunctionPrinter
 
 WARP_SIZE = 32  # threads of a warp
 MAX_WARPS_PER_BLOCK = 8  # warps of a block, as many as registers allow
@@ -53,7 +53,7 @@ class StoredValue(NamedTuple):
     has_own_memory: bool  # whether it has room of its own, outside of the state's arrays
 
 
-class GpuPrinter(LlvmText):
+class GpuPrinter(LlvmFunctionPrinter):
     """Prints a program as a kernel `run(given, first, state)`, or with `kept` and `record` besides.
 
     A launch runs `ticks` ticks. `given` and `state` are tiles of memory. `kept` holds each rollout's place among the
@@ -86,7 +86,7 @@ class GpuPrinter(LlvmText):
         self.here: dict[MemoryPlace, str] = {}  # present values of inner memory
         self.rows, self.inner = lanes.find_leg_rows(top, needed, group)
         self.words = sizes[1]  # words of a rollout: its state, then indexed memory, then values passed between parts
-        self.scratch: dict[Region, int] = {}
+        self.scratch: dict[MemoryRegion, int] = {}
         for region in self.inner:
             self.scratch[region] = self.words
             self.words += region.size
@@ -194,7 +194,7 @@ class GpuPrinter(LlvmText):
         """Allocate room for the values that a part passes on and that the state does not hold anyway."""
         stored: dict[int | MemoryPlace, StoredValue] = {}
         for part in parts:
-            for node in lanes.part_operands(part, self.needed):
+            for node in lanes.operands_of_part(part, self.needed):
                 if node.op == "load" and not self._is_outer(node.typed_extra(Address).region):
                     key, leg = (place := self._row(*node.typed_extra(Address)[:2])[0]), place in self.rows
                 elif node.op not in RECOMPUTED_OPERATIONS:
@@ -343,12 +343,12 @@ class GpuPrinter(LlvmText):
 
     # memory
 
-    def _row(self, region: Region, index: int) -> tuple[MemoryPlace, int]:
+    def _row(self, region: MemoryRegion, index: int) -> tuple[MemoryPlace, int]:
         """First place of the legs' row that a place in inner memory belongs to, and the leg of this place."""
         first, _, leg = self.rows.get((region, index), (index, 0, 0))
         return (region, first), leg
 
-    def _place(self, region: Region, index: int) -> MemoryPlace:
+    def _place(self, region: MemoryRegion, index: int) -> MemoryPlace:
         return (region, index) if self.alone else self._row(region, index)[0]
 
     def _stores(self, stores: Sequence[Store], part: KernelPart | None = None) -> None:
@@ -429,13 +429,13 @@ class GpuPrinter(LlvmText):
         self.lines.append(f"br label %{name}_x")
         self._start(f"{name}_x")
 
-    def _is_outer(self, region: Region) -> bool:
+    def _is_outer(self, region: MemoryRegion) -> bool:
         return region.byte_offset >= 0 or region in self.scratch
 
-    def _start_of(self, region: Region) -> int:
+    def _start_of(self, region: MemoryRegion) -> int:
         return self.scratch.get(region, region.byte_offset)
 
-    def _base(self, region: Region) -> str:
+    def _base(self, region: MemoryRegion) -> str:
         return self.given if region.byte_offset >= 0 and region.depth == 0 else self.state
 
     def _leg(self, base: str, step: int) -> str:
@@ -465,7 +465,7 @@ class GpuPrinter(LlvmText):
     def _read(self, dtype: str, base: str, offset: int | str) -> str:
         kind = LLVM_TYPES[dtype]
         if kind not in ("i1", "i32", "float"):
-            raise Unsupported(f"{dtype} on a GPU")
+            raise UnsupportedPrimitive(f"{dtype} on a GPU")
         if kind != "i1":
             return self._get(base, offset, kind)
         return self.emit(f"icmp ne i32 {self._get(base, offset, 'i32')}, 0")
@@ -567,7 +567,7 @@ class GpuPrinter(LlvmText):
             case "count":
                 return self.counts[node.typed_extra(LoopCount).depth]
             case _ if node.op in INTRINSICS and node.op not in NATIVE_FUNCTIONS:
-                raise Unsupported(f"{node.op} of {node.dtype} on a GPU")
+                raise UnsupportedPrimitive(f"{node.op} of {node.dtype} on a GPU")
             case _:
                 args = [self.value_name(x) for x in node.args]
                 return self.arithmetic(node.op, node.dtype, args, [x.dtype for x in node.args])
@@ -634,7 +634,7 @@ def rollouts_per_warp(group: int) -> int:
         Unsupported: The number of legs is odd, or too large for a warp.
     """
     if group % 2 or not 0 < group <= WARP_SIZE:
-        raise Unsupported(f"a group of {group} on a GPU")
+        raise UnsupportedPrimitive(f"a group of {group} on a GPU")
     return WARP_SIZE // group
 
 
@@ -651,7 +651,7 @@ def ptx_compiler() -> Iterator[Callable[[str], str]]:
         def compiled(text: str) -> str:
             made, failed = process.communicate(text)
             if process.returncode:
-                raise Unsupported((failed.strip().splitlines() or ["what ends LLVM"])[-1])
+                raise UnsupportedPrimitive((failed.strip().splitlines() or ["what ends LLVM"])[-1])
             return made
 
         try:

@@ -17,7 +17,7 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from sweep.fused.arrays import Unsupported
+from sweep.fused.arrays import UnsupportedPrimitive
 
 CALL_TARGET, PLATFORM = "insect_sweep_kernel", "CUDA"
 KERNEL_NAME = b"run"  # name of the kernel in every module
@@ -224,7 +224,7 @@ def _translate(text: str) -> bytes:
             _call_driver("cuLinkDestroy", link)
             return code
     except RuntimeError as error:
-        raise Unsupported(f"{error}: {log.value.decode(errors='replace').strip()}") from None
+        raise UnsupportedPrimitive(f"{error}: {log.value.decode(errors='replace').strip()}") from None
     finally:
         _call_driver("cuDevicePrimaryCtxRelease_v2", device)
 

@@ -14,12 +14,12 @@ import numpy as np
 from jax.extend import core
 
 from sweep.fused import batch_ops, randomness
-from sweep.fused.arrays import Unsupported
+from sweep.fused.arrays import UnsupportedPrimitive
 from sweep.fused.batch_ops import BatchArray
 from sweep.fused.eager_rules import FUNCTIONS, RULES
 from sweep.fused.interpret import CALL_PRIMITIVES
 from sweep.fused.jaxprs import inner_jaxpr, split_scan_operands
-from sweep.fused.randomness import is_key, key_words, restore_keys
+from sweep.fused.randomness import is_key, keys_to_words, rewrap_if_key
 
 IDENTITY_PRIMITIVES = frozenset(("stop_gradient", "copy", "optimization_barrier", "random_wrap", "random_unwrap"))
 
@@ -86,7 +86,7 @@ class NumpyProgram(NamedTuple):
         Returns:
             The results, with a leading axis (width, ...).
         """
-        leaves = jax.tree.leaves(key_words(args))
+        leaves = jax.tree.leaves(keys_to_words(args))
         taken = [
             _batch_axis_last(np.asarray(x, one.dtype), one.ndim)
             for x, one in zip(leaves, self.argument_shapes, strict=True)
@@ -95,7 +95,7 @@ class NumpyProgram(NamedTuple):
             made = self.operation_list.execute(taken, external or {})
         rows = [np.moveaxis(np.broadcast_to(x, (*x.shape[:-1], width)), -1, 0) for x in made]
         forms, tree = jax.tree.flatten(self.result_shapes)
-        return jax.tree.unflatten(tree, [restore_keys(x, form) for x, form in zip(rows, forms, strict=True)])
+        return jax.tree.unflatten(tree, [rewrap_if_key(x, form) for x, form in zip(rows, forms, strict=True)])
 
 
 def trace(function: Callable[..., Any], *shapes: Any, external: Collection[str] = ()) -> NumpyProgram:
@@ -112,9 +112,9 @@ def trace(function: Callable[..., Any], *shapes: Any, external: Collection[str] 
     leaves, tree = jax.tree.flatten(shapes)
 
     def flat(*of: Any) -> Any:
-        return function(*jax.tree.unflatten(tree, [restore_keys(x, like) for x, like in zip(of, leaves, strict=True)]))
+        return function(*jax.tree.unflatten(tree, [rewrap_if_key(x, like) for x, like in zip(of, leaves, strict=True)]))
 
-    leaf_shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in key_words(leaves)]
+    leaf_shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in keys_to_words(leaves)]
     program, results_shape = jax.make_jaxpr(flat, return_shape=True)(*leaf_shapes)
     writer = OperationListWriter(external)
     with np.errstate(all="ignore"):
@@ -134,7 +134,7 @@ def evaluate_constants(function: Callable[[], Any], external: Mapping[str, Calla
     """
     try:
         program = trace(function, external=external or {})
-    except Unsupported:
+    except UnsupportedPrimitive:
         with jax.ensure_compile_time_eval():
             made = jax.jit(function, compiler_options={"xla_backend_optimization_level": 0})()
             return jax.tree.map(np.asarray, made)
@@ -244,20 +244,20 @@ class OperationListWriter:
             return self.emit(rule(eqn), args, len(eqn.outvars))
         if rule := FUNCTIONS.get(name):
             return self.emit(rule, args)
-        raise Unsupported(name)
+        raise UnsupportedPrimitive(name)
 
     def _call_external(self, name: str, args: list[int], eqn: Any) -> Sequence[int]:
         """Add a call of an external function. Raises `Unsupported` if two calls differ in shapes."""
         asked = tuple(map(_form, eqn.invars))
         if self.asked.setdefault(name, asked) != asked:
-            raise Unsupported(f"{name} of several shapes")
+            raise UnsupportedPrimitive(f"{name} of several shapes")
         return self.emit(name, args, len(eqn.outvars))
 
     def _random(self, args: list[int], eqn: Any) -> list[int]:
         """Random numbers of one key."""
         key, *others = eqn.invars
         if key.aval.shape:
-            raise Unsupported("random numbers of several keys at once")
+            raise UnsupportedPrimitive("random numbers of several keys at once")
         shapes = [jax.ShapeDtypeStruct((2,), np.uint32), *map(_form, others)]
         function = randomness.EXPANSIONS[eqn.primitive.name]
         traced = jax.make_jaxpr(lambda *of: function(*of, **eqn.params))(*shapes)
@@ -267,7 +267,7 @@ class OperationListWriter:
         """Loop over steps."""
         inner, length = eqn.params["jaxpr"], eqn.params["length"]
         if not length:
-            raise Unsupported("a loop without steps")
+            raise UnsupportedPrimitive("a loop without steps")
         consts, carry, xs = split_scan_operands(eqn, args)
         body, consts = self._inner(inner, consts)
         how = ScanParameters(body, length, eqn.params["reverse"], len(consts), len(carry))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sweep.fused import batch_ops as ops
-from sweep.fused.arrays import EMPTY_REDUCTIONS, Unsupported
+from sweep.fused.arrays import EMPTY_REDUCTIONS, UnsupportedPrimitive
 from sweep.fused.batch_ops import DotDimensions, TriangularSystem, WindowIndexing
 from sweep.fused.operations import COMPARISONS, REDUCTIONS
 from sweep.fused.rules import out_of_bounds_value
@@ -45,13 +45,13 @@ def _div(eqn: Any) -> Callable:
 
 def _round(eqn: Any) -> Callable:
     if int(eqn.params["rounding_method"]) != 1:
-        raise Unsupported("round, with halves away from zero")
+        raise UnsupportedPrimitive("round, with halves away from zero")
     return np.rint
 
 
 def _shift_right_logical(eqn: Any) -> Callable:
     if np.issubdtype(eqn.outvars[0].aval.dtype, np.signedinteger):
-        raise Unsupported("shift_right_logical of a number with a sign")
+        raise UnsupportedPrimitive("shift_right_logical of a number with a sign")
     return np.right_shift
 
 
@@ -62,7 +62,7 @@ def _reshape(eqn: Any) -> Callable:
 def _broadcast_in_dim(eqn: Any) -> Callable:
     shape, places = tuple(eqn.params["shape"]), tuple(eqn.params["broadcast_dimensions"])
     if len(eqn.invars) > 1:
-        raise Unsupported("broadcast_in_dim to a shape that is not known")
+        raise UnsupportedPrimitive("broadcast_in_dim to a shape that is not known")
     if int(np.prod(shape)) == int(np.prod(_shape(eqn.invars[0]))):
         return _reshape(eqn)
     return partial(ops.broadcast_in_dim, places, shape)
@@ -76,7 +76,7 @@ def _slice(eqn: Any) -> Callable:
 def _pad(eqn: Any) -> Callable:
     config, lengths = eqn.params["padding_config"], _shape(eqn.invars[0])
     if any(low < 0 or high < 0 for low, high, _ in config):
-        raise Unsupported("pad by less than nothing")
+        raise UnsupportedPrimitive("pad by less than nothing")
     window = tuple(slice(low, low + (n - 1) * (inner + 1) + 1 if n else low, inner + 1)
                    for (low, _, inner), n in zip(config, lengths, strict=True))  # fmt: skip
     return partial(ops.pad, _shape(eqn.outvars[0]), window)
@@ -172,7 +172,7 @@ def _triangular_solve(eqn: Any) -> Callable:
 
 def _platform_index(eqn: Any) -> Callable:
     if None not in eqn.params["platforms"]:
-        raise Unsupported("what is for some platforms alone")
+        raise UnsupportedPrimitive("what is for some platforms alone")
     return partial(ops.full, eqn.params["platforms"].index(None), eqn.outvars[0].aval.dtype)
 
 

@@ -13,10 +13,10 @@ import numpy as np
 from jax.extend import core
 
 from sweep.fused import maths
-from sweep.fused.arrays import Array, ArrayBuilder, RowUpdate, Unsupported, build_array, stack
+from sweep.fused.arrays import Array, ArrayBuilder, RowUpdate, UnsupportedPrimitive, build_array, stack
 from sweep.fused.jaxprs import inner_jaxpr, inner_jaxprs, split_scan_operands
 from sweep.fused.operations import REDUCTIONS
-from sweep.fused.program import Address, Branch, LoopCount, Node, Region, constant_value, is_uniform
+from sweep.fused.program import Address, Branch, LoopCount, MemoryRegion, Node, constant_value, is_uniform
 from sweep.fused.rules import MULTI_RESULT_RULES, RULES
 
 CALL_PRIMITIVES = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr",
@@ -74,7 +74,7 @@ class Interpreter(ArrayBuilder):
         if rule := MULTI_RESULT_RULES.get(name):
             return rule(args, eqn)
         if name in ELEMENTWISE or name in RENAMED_PRIMITIVES:
-            return [self.lift(RENAMED_PRIMITIVES.get(name) or name, args, out.dtype.name)]
+            return [self.map_elements(RENAMED_PRIMITIVES.get(name) or name, args, out.dtype.name)]
         if name in REDUCTIONS:
             return [self.reduce(REDUCTIONS[name], args[0], params["axes"], out.dtype)]
         if rule := RULES.get(name):
@@ -83,8 +83,8 @@ class Interpreter(ArrayBuilder):
         if expansion := maths.EXPANSIONS.get(name) or (single and maths.SINGLE_PRECISION_EXPANSIONS.get(name)):
             return [self.trace_expansion(expansion, args, [v.aval.dtype for v in eqn.invars])]
         if name in maths.SINGLE_PRECISION_EXPANSIONS:
-            return [self.lift(name, args, out.dtype.name)]
-        raise Unsupported(name)
+            return [self.map_elements(name, args, out.dtype.name)]
+        raise UnsupportedPrimitive(name)
 
     def trace_expansion(self, function: Callable, args: Sequence[Array], dtypes: Sequence[Any]) -> Array:
         """Replace an operation by `function`, which is written in other primitives.
@@ -159,13 +159,13 @@ class Interpreter(ArrayBuilder):
 
     def _select(self, flag: Node, old: list[Array], new: list[Array]) -> list[Array]:
         """The new values where the flag is set."""
-        return [self.choose(np.full(x.shape, flag, object), [y, x]) for y, x in zip(old, new, strict=True)]
+        return [self.select_by_index(np.full(x.shape, flag, object), [y, x]) for y, x in zip(old, new, strict=True)]
 
-    def _saved(self, x: Array, depth: int) -> Region | None:
+    def _saved(self, x: Array, depth: int) -> MemoryRegion | None:
         """Memory that holds `x` from here on."""
         if not x.size:
             return None
-        region = Region(x.size, x.flat[0].dtype, depth)
+        region = MemoryRegion(x.size, x.flat[0].dtype, depth)
         self.save(region, x, self.program.blocks[-1].items)
         return region
 
@@ -175,7 +175,7 @@ class Interpreter(ArrayBuilder):
         at = np.arange(size).reshape(shape)
         return build_array(shape, lambda i: self._gathered(region, int(at[i]), place))
 
-    def _gathered(self, region: Region, index: int, place: Node) -> Node:
+    def _gathered(self, region: MemoryRegion, index: int, place: Node) -> Node:
         return self.program.node("gather", (place,), region.dtype, Address(region, index, region.depth, 0), leg=False)
 
     def _cond(self, args: list[Array], eqn: Any) -> list[Array]:
@@ -192,7 +192,7 @@ class Interpreter(ArrayBuilder):
         if len(branches) == 2 and idle is not None:
             return self._skip(which, branches, operands, idle, shapes)
         each = [self._results(b, operands) for b in branches]
-        return [self.choose(index, list(values)) for values in zip(*each, strict=True)]
+        return [self.select_by_index(index, list(values)) for values in zip(*each, strict=True)]
 
     def _skip(
         self, which: Node, branches: Sequence[Any], operands: list[Array], idle: int, shapes: list[Any]
@@ -212,7 +212,7 @@ class Interpreter(ArrayBuilder):
     ) -> list[Array]:
         """Results of the alternative of number `which`, the same for all rollouts of a warp or vector."""
         depth = len(self.program.blocks) - 1
-        regions = [Region(math.prod(s.shape), s.dtype.name, depth) for s in shapes]
+        regions = [MemoryRegion(math.prod(s.shape), s.dtype.name, depth) for s in shapes]
         blocks = []
         for alternative in alternatives:
             with self.program.branch(hoists) as block:

@@ -12,7 +12,7 @@ from jaxtyping import Array
 
 from sweep.fused import llvm, schedule
 from sweep.fused.cores import count_cores
-from sweep.fused.randomness import is_key, key_words
+from sweep.fused.randomness import is_key, keys_to_words
 from sweep.fused.trace import LEG_COUNT, ArrayLayout, TracedProgram, trace_program
 
 ALIGNMENT_BYTES = llvm.ALIGNMENT_BYTES
@@ -61,8 +61,8 @@ def print_program(
         The program, and a printer that holds its text. Inputs and carry share a memory, whose layout is in bytes.
     """
     program = trace_program(function, inputs, carry, partial(_lay_out, lanes), share_memory=True, group=group)
-    order = schedule.schedule_block(program.top_block, schedule.used_nodes(program.top_block))
-    return program, llvm.CpuPrinter(order, schedule.assign_slots(order), group, lanes)
+    order = schedule.schedule_block(program.top_block, schedule.used_node_numbers(program.top_block))
+    return program, llvm.CpuPrinter(order, schedule.assign_scratch_slots(order), group, lanes)
 
 
 def compile_function(
@@ -156,7 +156,7 @@ class Tiles:
     def write(self, leaves: Sequence[ArrayLayout], tree: Any) -> None:
         """Write values of a batch, or one for all of it. Idle lanes of the last tile repeat the last rollout."""
         lanes = self.code.lanes
-        for leaf, given in zip(leaves, jax.tree.leaves(key_words(tree)), strict=True):
+        for leaf, given in zip(leaves, jax.tree.leaves(keys_to_words(tree)), strict=True):
             values, whole = np.asarray(given), _view(self.memory, leaf, lanes)
             if values.ndim == len(leaf.shape):
                 whole[...] = values.reshape(1, leaf.size, 1)

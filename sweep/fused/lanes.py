@@ -13,8 +13,8 @@ from sweep.fused.program import (
     LegIndex,
     LegReduction,
     Loop,
+    MemoryRegion,
     Node,
-    Region,
     Store,
     StoredNode,
     walk_block,
@@ -24,7 +24,7 @@ RECOMPUTED_OPERATIONS = frozenset(
     ("const", "load", "tick")
 )  # operations that are repeated wherever their value is needed
 MAX_OPERATION_COUNT = 1 << 30  # cap on the count of a value's operations, which counts shared operands for each use
-MemoryPlace = tuple[Region, int]  # place of a number in memory, or of the six of the legs
+MemoryPlace = tuple[MemoryRegion, int]  # place of a number in memory, or of the six of the legs
 LegRows = dict[MemoryPlace, tuple[int, int, int]]  # see `find_leg_rows`
 
 
@@ -71,7 +71,7 @@ def _order_nodes(nodes: dict[int, Node]) -> Iterator[Node]:
             yield pending.pop()
 
 
-def find_leg_rows(top: Block, needed: set[int], group: int) -> tuple[LegRows, list[Region]]:
+def find_leg_rows(top: Block, needed: set[int], group: int) -> tuple[LegRows, list[MemoryRegion]]:
     """Find the numbers of inner memory that are always read and written as the six of the legs.
 
     Args:
@@ -84,8 +84,8 @@ def find_leg_rows(top: Block, needed: set[int], group: int) -> tuple[LegRows, li
         are indexed by place or are read in other rows than written.
     """
     rows: dict[MemoryPlace, tuple[int, int, int]] = {}
-    memory: dict[Region, None] = {}
-    uses: list[tuple[Region, int, int]] = []
+    memory: dict[MemoryRegion, None] = {}
+    uses: list[tuple[MemoryRegion, int, int]] = []
     for x in walk_block(top):
         if isinstance(x, Store) and x.value.leg:
             uses.append((x.region, x.index, x.leg_stride))
@@ -110,7 +110,7 @@ def find_leg_rows(top: Block, needed: set[int], group: int) -> tuple[LegRows, li
 
 
 def split_into_parts(
-    block: Block, needed: set[int], last: Region | None, group: int, small_batch: bool, rows: LegRows
+    block: Block, needed: set[int], last: MemoryRegion | None, group: int, small_batch: bool, rows: LegRows
 ) -> list[KernelPart]:
     """Split a block into parts: its loops, and what lies between them.
 
@@ -126,7 +126,7 @@ def split_into_parts(
         rows: see `find_leg_rows`.
     """
     made = [part._replace(legs_in_lanes=small_batch or part.legs_in_lanes) for part in _cut_at_loops(block, needed)]
-    home: dict[int | Region, int] = {}
+    home: dict[int | MemoryRegion, int] = {}
     for k, part in enumerate(made):
         home |= {item.number: k for item in part.items if isinstance(item, Node)}
         home |= {
@@ -134,7 +134,7 @@ def split_into_parts(
         }
     asked: dict[Any, int] = {}  # last part that reads a place, or that indexes a region
     for k, part in enumerate(made):
-        for node in part_operands(part, needed):
+        for node in operands_of_part(part, needed):
             asked |= dict.fromkeys(_places(node, group), k)
     stores = _merge_leg_stores(block.stores, rows, group)
     late = [store for store in stores if store.region is last or _is_outer_load(store.value)]
@@ -155,7 +155,7 @@ def split_into_parts(
 
 def _merge_leg_stores(stores: Sequence[Store], rows: LegRows, group: int) -> list[Store]:
     """Merge stores that each write one leg's number of a row into one store for all legs."""
-    found: dict[tuple[Region, MemoryPlace], list[Store | None]] = {}
+    found: dict[tuple[MemoryRegion, MemoryPlace], list[Store | None]] = {}
     for store in stores:
         if store.value.op == "load" and not store.value.leg and not store.row_index:
             region, index, _, _ = store.value.typed_extra(Address)
@@ -224,7 +224,7 @@ def _around_branches(block: Block, needed: set[int]) -> list[Any]:
     ]
 
 
-def _written_regions(item: Any) -> set[Region]:
+def _written_regions(item: Any) -> set[MemoryRegion]:
     """Regions that a branch or loop stores to."""
     return {x.region for x in iterate_nested_items(item) if isinstance(x, Store)}
 
@@ -275,7 +275,7 @@ def iterate_nested_items(item: Any) -> Iterator[Any]:
         yield from walk_block(block)
 
 
-def part_operands(part: KernelPart, needed: set[int]) -> Iterator[Node]:
+def operands_of_part(part: KernelPart, needed: set[int]) -> Iterator[Node]:
     """Operands of all items of a part, inner blocks included, without the indices of branches.
 
     Args:

@@ -10,7 +10,7 @@ from jax import lax
 from jaxtyping import Array, Int, UInt32
 
 from sweep.fused import cuda, driver, schedule
-from sweep.fused.randomness import key_words, restore_keys
+from sweep.fused.randomness import keys_to_words, rewrap_if_key
 from sweep.fused.trace import LEG_COUNT, ArrayLayout, TracedProgram, trace_program
 
 MIN_ROLLOUTS_PER_BLOCK = (
@@ -116,7 +116,7 @@ def print_program(
     tree = jax.tree.structure(carry)
     flag = program.carry_leaves[is_over(jax.tree.unflatten(tree, range(tree.num_leaves)))].offset
     sizes = _end(program.input_leaves), _end(program.carry_leaves), _end([*program.record_leaves.values()])
-    turns, needed = _rollouts_factor(width, group), schedule.used_nodes(program.top_block)
+    turns, needed = _rollouts_factor(width, group), schedule.used_node_numbers(program.top_block)
     return program, cuda.GpuPrinter(
         program.top_block, needed, sizes, ticks, flag, record_capacity, turns, group, small_batch
     )
@@ -153,7 +153,7 @@ def run_kernel(
         operands += [places, jnp.zeros((code.ticks, code.record_capacity + 1, numbers), jnp.uint32)]
     moved, *record = call_kernel(code, operands)
     rows = moved.transpose(0, 2, 1).reshape(-1, code.words_per_rollout)[:width]
-    after = [restore_keys(_unpack(rows, leaf), x) for leaf, x in zip(code.carry_leaves, like, strict=True)]
+    after = [rewrap_if_key(_unpack(rows, leaf), x) for leaf, x in zip(code.carry_leaves, like, strict=True)]
     after = jax.tree.unflatten(tree, after)
     if slots is None:
         return after, None
@@ -197,7 +197,7 @@ def _pack(
         rows = width if x.ndim > len(leaf.shape) else 1
         return jnp.broadcast_to(bits.reshape(rows, leaf.size), (width, leaf.size))
 
-    columns = [column(x, leaf) for x, leaf in zip(key_words(list(values)), leaves, strict=True)]
+    columns = [column(x, leaf) for x, leaf in zip(keys_to_words(list(values)), leaves, strict=True)]
     columns.append(jnp.zeros((width, size - sum(x.shape[1] for x in columns)), jnp.uint32))
     rows = jnp.pad(jnp.concatenate(columns, axis=1), ((0, rollouts - width), (0, 0)), mode="edge")
     return rows.reshape(-1, code.rollouts_per_block, size).transpose(0, 2, 1)

@@ -16,13 +16,13 @@ from sweep.fused.program import (
     LegReduction,
     Loop,
     LoopCount,
+    MemoryRegion,
     Node,
-    Region,
     Store,
     constant_value,
 )
 from sweep.fused.schedule import BlockSchedule, OperationGroup, ScratchSlots, used_regions
-from sweep.fused.text import LLVM_TYPES, LlvmText
+from sweep.fused.text import LLVM_TYPES, LlvmFunctionPrinter
 
 TILE_LANES, NARROW_TILE_LANES = 16, 4  # rollouts of a tile; a narrow tile takes half as long
 ALIGNMENT_BYTES = 64  # bytes
@@ -46,7 +46,7 @@ def round_to_alignment(size: int) -> int:
     return -(-size // ALIGNMENT_BYTES) * ALIGNMENT_BYTES
 
 
-class CpuPrinter(LlvmText):
+class CpuPrinter(LlvmFunctionPrinter):
     """Prints a program as an LLVM function `run(rollouts, scratch, record, stride, first, ticks)`.
 
     `record` advances by `stride` bytes each tick; `first` is the number of the first tick.
@@ -60,7 +60,7 @@ class CpuPrinter(LlvmText):
         self.counts: dict[int, str] = {}  # counters of the open loops, by depth
         self.row = lanes * slots.size
         self.scratch = round_to_alignment(slots.count * self.group * self.row)
-        self.places: dict[Region, int] = {}
+        self.places: dict[MemoryRegion, int] = {}
         for region in sorted((r for r in used_regions(top) if r.byte_offset < 0), key=id):
             self.places[region] = self.scratch
             self.scratch += round_to_alignment(region.size * self.number_bytes(region.dtype))
@@ -176,7 +176,7 @@ class CpuPrinter(LlvmText):
         """Bytes of one number in all lanes."""
         return row_bytes(dtype, self.lanes)
 
-    def region_pointer(self, region: Region) -> tuple[str, int]:
+    def region_pointer(self, region: MemoryRegion) -> tuple[str, int]:
         """Pointer to a region's memory, and the region's offset in bytes."""
         if region in self.places:
             return "%scratch", self.places[region]

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 
-def evaluate_numbers(function: Callable[[], Any]) -> Any:
+def evaluate_plain_numbers(function: Callable[[], Any]) -> Any:
     """Evaluate a function of plain numbers, see `eager.evaluate_constants`."""
     from sweep.fused import eager
 

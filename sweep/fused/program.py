@@ -22,7 +22,7 @@ class ConstantBits(NamedTuple):
 class Address(NamedTuple):
     """Extra of `load` and `gather`: place of a number in memory, or of the numbers of all legs."""
 
-    region: "Region"
+    region: "MemoryRegion"
     first_index: int  # index of the (first leg's) number; `gather` adds its operand
     depth: int  # depth of the block in which it does not change
     leg_stride: int  # from leg to leg; 0 for a number that is not a leg's
@@ -81,7 +81,7 @@ class Node:
 
 
 @dataclass(eq=False)
-class Region:
+class MemoryRegion:
     """A piece of memory, each number of which is a row of lanes: an input, a loop's carry, or a result."""
 
     size: int
@@ -99,7 +99,7 @@ class Store:
     row's number is the same for all rollouts.
     """
 
-    region: Region
+    region: MemoryRegion
     index: int
     value: Node
     leg_stride: int = 0  # from leg to leg

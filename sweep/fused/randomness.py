@@ -11,13 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, UInt32
 
-from sweep.fused.arrays import Unsupported
+from sweep.fused.arrays import UnsupportedPrimitive
 
 ROTATIONS_BY_ROUND = ((13, 15, 26, 6), (17, 29, 16, 24))
 KEY_PARITY = 0x1BD11BDA
 
 
-def key_words(tree: Any) -> Any:
+def keys_to_words(tree: Any) -> Any:
     """Replace random keys in a tree of arrays or shapes by arrays of their words (..., 2)."""
 
     def one(x: Any) -> Any:
@@ -28,7 +28,7 @@ def key_words(tree: Any) -> Any:
     return jax.tree.map(one, tree)
 
 
-def restore_keys(x: Any, original: Any) -> Any:
+def rewrap_if_key(x: Any, original: Any) -> Any:
     """Turn words into a random key if `original` is one."""
     return jax.random.wrap_key_data(x) if is_key(original) else x
 
@@ -86,7 +86,7 @@ def split_key(key: Array, shape: tuple[int, ...]) -> Array:
 
 def _bits(key: Array, bit_width: int, shape: tuple[int, ...]) -> Array:
     if bit_width not in (32, 64):
-        raise Unsupported(f"random words of {bit_width} bits")
+        raise UnsupportedPrimitive(f"random words of {bit_width} bits")
     return random_bits(key, shape) if bit_width == 32 else random_long_bits(key, shape)
 
 
@@ -104,9 +104,9 @@ def random_primitive_rules() -> dict[str, Callable]:
     def written(function: Callable) -> Callable:
         def rule(self: Any, keys: np.ndarray, *args: np.ndarray, out: Any, **params: Any) -> np.ndarray:
             if keys.shape:
-                raise Unsupported("random numbers of several keys at once")
+                raise UnsupportedPrimitive("random numbers of several keys at once")
             if params.get("bit_width", 32) != 32:
-                raise Unsupported(f"random words of {params['bit_width']} bits")
+                raise UnsupportedPrimitive(f"random words of {params['bit_width']} bits")
             made = self.trace_expansion(
                 lambda *xs: function(*xs, **params), [_words(keys), *args], ["uint32", *["uint32"] * len(args)]
             )

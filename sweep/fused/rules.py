@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from sweep.fused import randomness
-from sweep.fused.arrays import Array, ArrayBuilder, Unsupported, slices_along, stack
+from sweep.fused.arrays import Array, ArrayBuilder, UnsupportedPrimitive, slices_along, stack
 
 
 def _convert(self: ArrayBuilder, x: Array, out: Any, **_: Any) -> Array:
-    return x if not x.size or x.flat[0].dtype == out.dtype.name else self.lift("convert", [x], out.dtype.name)
+    return x if not x.size or x.flat[0].dtype == out.dtype.name else self.map_elements("convert", [x], out.dtype.name)
 
 
 def _integer_pow(self: ArrayBuilder, x: Array, out: Any, y: int, **_: Any) -> Array:
@@ -24,19 +24,19 @@ def _integer_pow(self: ArrayBuilder, x: Array, out: Any, y: int, **_: Any) -> Ar
     power = x
     for bit in bin(abs(y))[:1:-1]:
         if bit == "1":
-            result = power if result is None else self.lift("mul", [result, power], dtype)
-        power = self.lift("mul", [power, power], dtype)
-    return result if y > 0 else self.lift("div", [self.constant(np.ones((), dtype)), result], dtype)
+            result = power if result is None else self.map_elements("mul", [result, power], dtype)
+        power = self.map_elements("mul", [power, power], dtype)
+    return result if y > 0 else self.map_elements("div", [self.constant(np.ones((), dtype)), result], dtype)
 
 
 def _clamp(self: ArrayBuilder, low: Array, x: Array, high: Array, out: Any, **_: Any) -> Array:
-    return self.lift("min", [self.lift("max", [x, low], out.dtype.name), high], out.dtype.name)
+    return self.map_elements("min", [self.map_elements("max", [x, low], out.dtype.name), high], out.dtype.name)
 
 
 def _polynomial(self: ArrayBuilder, x: Array, *coefficients: Array, out: Any, **_: Any) -> Array:
     total = np.broadcast_to(coefficients[-1], x.shape)
     for c in reversed(coefficients[:-1]):
-        total = self.lift("add", [self.lift("mul", [total, x], out.dtype.name), c], out.dtype.name)
+        total = self.map_elements("add", [self.map_elements("mul", [total, x], out.dtype.name), c], out.dtype.name)
     return total
 
 
@@ -58,7 +58,7 @@ def _slice(
 
 def _pad(self: ArrayBuilder, x: Array, value: Array, out: Any, padding_config: tuple) -> Array:
     if any(low < 0 or high < 0 for low, high, _ in padding_config):
-        raise Unsupported("pad by less than nothing")
+        raise UnsupportedPrimitive("pad by less than nothing")
     result = np.full(out.shape, value[()], object)
     result[tuple(slice(low, low + (n - 1) * (inner + 1) + 1 if n else low, inner + 1)
                  for (low, _, inner), n in zip(padding_config, x.shape, strict=True))] = x  # fmt: skip
@@ -80,7 +80,7 @@ def _dot_general(self: ArrayBuilder, a: Array, b: Array, out: Any, dimension_num
     n, m = len(batch_a), len(of_a)
     a = a.reshape((*a.shape[: n + len(free_a)], *[1] * len(free_b), *a.shape[a.ndim - m :]))
     b = b.reshape((*b.shape[:n], *[1] * len(free_a), *b.shape[n:]))
-    products = self.lift("mul", [a, b], out.dtype.name)
+    products = self.map_elements("mul", [a, b], out.dtype.name)
     return self.reduce("add", products, tuple(range(products.ndim - m, products.ndim)), out.dtype)
 
 
@@ -91,14 +91,19 @@ def _argmax(better: str) -> Callable:
         best, index = rows[0], np.broadcast_to(self.constant(np.zeros((), out.dtype)), rows[0].shape)
         for k in range(1, len(rows)):
             if x.flat[0].dtype == "bool":
-                here = self.lift("and", [rows[k], self.lift("not", [best], "bool")], "bool")
+                here = self.map_elements("and", [rows[k], self.map_elements("not", [best], "bool")], "bool")
             else:  # the first NaN wins
-                nan = self.lift(
-                    "and", [self.lift("ne", [rows[k], rows[k]], "bool"), self.lift("eq", [best, best], "bool")], "bool"
+                nan = self.map_elements(
+                    "and",
+                    [
+                        self.map_elements("ne", [rows[k], rows[k]], "bool"),
+                        self.map_elements("eq", [best, best], "bool"),
+                    ],
+                    "bool",
                 )
-                here = self.lift("or", [self.lift(better, [rows[k], best], "bool"), nan], "bool")
-            best = self.lift("select", [here, rows[k], best], x.flat[0].dtype)
-            index = self.lift("select", [here, self.constant(np.asarray(k, out.dtype)), index], out.dtype.name)
+                here = self.map_elements("or", [self.map_elements(better, [rows[k], best], "bool"), nan], "bool")
+            best = self.map_elements("select", [here, rows[k], best], x.flat[0].dtype)
+            index = self.map_elements("select", [here, self.constant(np.asarray(k, out.dtype)), index], out.dtype.name)
         return index
 
     return rule
@@ -109,7 +114,7 @@ def _cumulative(name: str) -> Callable:
         rows = slices_along(x, axis)
         rows = rows[::-1] if reverse else rows
         for k in range(1, len(rows)):
-            rows[k] = self.lift(name, [rows[k - 1], rows[k]], out.dtype.name)
+            rows[k] = self.map_elements(name, [rows[k - 1], rows[k]], out.dtype.name)
         return np.moveaxis(stack(rows[::-1] if reverse else rows), 0, axis)
 
     return rule
@@ -156,7 +161,7 @@ def _gather(
                 np.asarray(out_of_bounds_value(out.dtype) if fill_value is None else fill_value, out.dtype)
             )
             cases = [np.full(found.shape, inside, object), found, np.broadcast_to(fill, found.shape)]
-            found = self.lift("select", cases, out.dtype.name)
+            found = self.map_elements("select", cases, out.dtype.name)
         place: list[Any] = [slice(None)] * len(out.shape)
         for d, i in zip(batch, at, strict=True):
             place[d] = i
@@ -168,7 +173,7 @@ def _gather(
 def _platform_index(self: ArrayBuilder, out: Any, platforms: tuple) -> Array:
     """Index of the branch that any platform can take."""
     if None not in platforms:
-        raise Unsupported("what is for some platforms alone")
+        raise UnsupportedPrimitive("what is for some platforms alone")
     return self.constant(np.asarray(platforms.index(None), out.dtype))
 
 
@@ -192,7 +197,7 @@ def _scatter(combine: str | None) -> Callable:
     ) -> Array:
         dims = dimension_numbers
         if dims.operand_batching_dims:
-            raise Unsupported("scatter over batches")
+            raise UnsupportedPrimitive("scatter over batches")
         batch = [d for d in range(updates.ndim) if d not in dims.update_window_dims]
         windows = [d for d in range(x.ndim) if d not in dims.inserted_window_dims]
         result = x.copy()
@@ -226,13 +231,13 @@ MULTI_RESULT_RULES: dict[str, Callable] = {"unstack": _unstack, "split": _split}
 RULES: dict[str, Callable] = {
     "convert_element_type": _convert,
     "integer_pow": _integer_pow,
-    "square": lambda self, x, out, **_: self.lift("mul", [x, x], out.dtype.name),
-    "rsqrt": lambda self, x, out, **_: self.lift(
-        "div", [self.constant(np.ones((), out.dtype)), self.lift("sqrt", [x], out.dtype.name)], out.dtype.name
+    "square": lambda self, x, out, **_: self.map_elements("mul", [x, x], out.dtype.name),
+    "rsqrt": lambda self, x, out, **_: self.map_elements(
+        "div", [self.constant(np.ones((), out.dtype)), self.map_elements("sqrt", [x], out.dtype.name)], out.dtype.name
     ),
     "clamp": _clamp,
     "polynomial": _polynomial,
-    "select_n": lambda self, index, *cases, out: self.choose(np.broadcast_to(index, out.shape), cases),
+    "select_n": lambda self, index, *cases, out: self.select_by_index(np.broadcast_to(index, out.shape), cases),
     "broadcast_in_dim": _broadcast_in_dim,
     "reshape": lambda self, x, *_, out, **__: x.reshape(out.shape),
     "squeeze": lambda self, x, out, **_: x.reshape(out.shape),

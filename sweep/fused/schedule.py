@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sweep.fused.program import Address, Block, Branch, Loop, Node, Region, Store, walk_block
+from sweep.fused.program import Address, Block, Branch, Loop, MemoryRegion, Node, Store, walk_block
 
 RECOMPUTED_OPERATIONS = frozenset(("const", "load"))  # operations that are repeated wherever their value is needed
 
@@ -59,7 +59,7 @@ def schedule_block(block: Block, needed: set[int]) -> BlockSchedule:
 
     Args:
         block: the block.
-        needed: numbers of the nodes to compute, see `used_nodes`.
+        needed: numbers of the nodes to compute, see `used_node_numbers`.
     """
     made, straight = BlockSchedule(block), []
     for item in [*block.items, None]:
@@ -98,7 +98,7 @@ def _turns(nodes: list[Node]) -> Iterator[OperationGroup]:
         yield turns[number]
 
 
-def used_nodes(block: Block) -> set[int]:
+def used_node_numbers(block: Block) -> set[int]:
     """Numbers of the nodes that results and inner blocks need."""
     needed: set[int] = set()
     pending = list(_roots(block))
@@ -122,7 +122,7 @@ def _roots(block: Block) -> Iterator[Node]:
             yield item.continue_flag
 
 
-def assign_slots(top: BlockSchedule) -> ScratchSlots:
+def assign_scratch_slots(top: BlockSchedule) -> ScratchSlots:
     """Assign slots to the values of legs that are used outside of their turn."""
     found = ScratchSlots()
     _assign_slots(top, found)
@@ -162,9 +162,9 @@ def _reads_from_memory(step: Any, inner: list[BlockSchedule]) -> Iterator[int]:
             yield from _reads_from_memory(each, one.inner_schedules.get(at, []))
 
 
-def used_regions(order: BlockSchedule) -> set[Region]:
+def used_regions(order: BlockSchedule) -> set[MemoryRegion]:
     """All memory regions that a schedule loads from or stores to."""
-    found: set[Region] = set()
+    found: set[MemoryRegion] = set()
     for at, step in enumerate(order.steps):
         if isinstance(step, OperationGroup):
             nodes = step.nodes

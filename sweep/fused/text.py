@@ -26,7 +26,7 @@ INTRINSICS = {"sqrt": "sqrt", "floor": "floor", "ceil": "ceil", "round": "rounde
               "atan2": "atan2"}  # fmt: skip
 
 
-class LlvmText:
+class LlvmFunctionPrinter:
     """A function that is being printed, on vectors of `lanes` numbers; 1 means single numbers."""
 
     def __init__(self, lanes: int):

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Array
 
 from sweep.fused.interpret import Interpreter
-from sweep.fused.program import Block, LoopCount, Program, Region
-from sweep.fused.randomness import key_words, restore_keys
+from sweep.fused.program import Block, LoopCount, MemoryRegion, Program
+from sweep.fused.randomness import keys_to_words, rewrap_if_key
 
 LEG_COUNT = 6  # the robot's legs
 
@@ -70,11 +70,11 @@ def trace_program(
 
     def flat(*leaves: Array) -> Any:
         before = jax.tree.unflatten(tree, leaves[:n])
-        now = jax.tree.unflatten(other, [restore_keys(x, like) for x, like in zip(leaves[n:-1], second, strict=True)])
+        now = jax.tree.unflatten(other, [rewrap_if_key(x, like) for x, like in zip(leaves[n:-1], second, strict=True)])
         moved, record = function(before, now, leaves[-1])
-        return jax.tree.leaves(key_words(moved)), record
+        return jax.tree.leaves(keys_to_words(moved)), record
 
-    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in key_words([*first, *second])]
+    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in keys_to_words([*first, *second])]
     jaxpr, (moved, record) = jax.make_jaxpr(flat, return_shape=True)(*shapes, jax.ShapeDtypeStruct((), jnp.int32))
     both = [(old.shape, new.shape) for old, new in zip(shapes[n:], moved, strict=True)]
     if changed := [f"{old} to {new}" for old, new in both if old != new]:
@@ -86,7 +86,7 @@ def trace_program(
 
     program = Program(group)
     interpreter = Interpreter(program)
-    regions = [[Region(x.size, x.dtype, depth, x.offset, told) for x in leaves]
+    regions = [[MemoryRegion(x.size, x.dtype, depth, x.offset, told) for x in leaves]
                for leaves, depth, told in ((constant, 0, False), (moving, 1, False), (recorded, 1, True))]  # fmt: skip
     with program.loop(None) as loop:
         tick = np.full((), program.node("tick", (), "int32", LoopCount(1)), object)

@@ -5,7 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from sweep.controllers.plan import GRIP, RESTS, STAND, STAYS, TOGETHER, Plan, Stage, Support
+from sweep.controllers.plan import GRIP, RESTS, STAND, STAYS, TOGETHER, Plan, Stage, SupportMotion
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import exponential, multiply, rotation_about_vertical
@@ -14,7 +14,7 @@ from sweep.manoeuvres.goals import ON_ITS_FEET
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import Obstacle, free_start_state
 from sweep.models.posture import Stance
-from sweep.models.robot import leg_unit
+from sweep.models.robot import length_unit
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.forces import PlannedForces
 from sweep.planning.moves import MoveContext, initial_stance, part_stages
@@ -29,8 +29,8 @@ START = "start"  # part that places the robot
 class Follow(PlannedForces):
     """Start where the part `start` of the plan file places the robot, then make the moves of its other parts.
 
-    For any obstacle with charts; lengths are in `leg_unit`s. Free bodies may be planned to rest (`rests`), to stay in
-    place (`stays`) or to roll together (`together`).
+    For any obstacle with charts; lengths are in `length_unit`s. Free bodies may be planned to rest (`rests`), to stay
+    in place (`stays`) or to roll together (`together`).
     """
 
     goal: ClassVar = ON_ITS_FEET
@@ -57,15 +57,15 @@ class Follow(PlannedForces):
         Raises:
             InputError: the file lacks something, or a foot is out of reach.
         """
-        plan = self.route(belief)
+        plan = self.plan_without_forces(belief)
         require_within_reach(
             belief,
-            lambda: stances_at_stage_ends(self.route(belief), free_start_state(belief.obstacle)),
+            lambda: stances_at_stage_ends(self.plan_without_forces(belief), free_start_state(belief.obstacle)),
             "plan is not allowed: ",
         )
         return self.with_feedforward(belief, plan) if self.forces == "planned" else plan
 
-    def route(self, belief: Case) -> Plan:
+    def plan_without_forces(self, belief: Case) -> Plan:
         """Return the plan without its forces."""
         context, stages = self.move_context(belief), []
         feet, position, standing = initial_stance(START, context)
@@ -77,7 +77,9 @@ class Follow(PlannedForces):
             raise InputError(f"plan is not allowed: manoeuvre.kind = {self.kind} needs a part with moves")
         x, y = belief.obstacle.forward
         level = rotation_about_vertical(jnp.asarray(np.arctan2(y, x)))
-        start = Stance(feet, position, multiply(exponential(-jnp.asarray(standing.pitch) * context.left), level))
+        start = Stance(
+            feet, position, multiply(exponential(-jnp.asarray(standing.pitch) * context.left_direction), level)
+        )
         stages = self.with_load_transfer(stages) if self.forces == "planned" else stages
         plan = compile_plan(start, [Stage("stand", STAND), *stages, Stage("halt", STAND)], self.patience,
                         free=free_start_state(belief.obstacle))  # fmt: skip
@@ -85,8 +87,8 @@ class Follow(PlannedForces):
 
     def move_context(self, belief: Case) -> MoveContext:
         """Return the charts and directions that moves of the plan file refer to."""
-        unit, obstacle = leg_unit(belief.robot), belief.obstacle
-        supports = {"free": Support(), "rests": RESTS, "stays": STAYS, "together": Support(TOGETHER)}
+        unit, obstacle = length_unit(belief.robot), belief.obstacle
+        supports = {"free": SupportMotion(), "rests": RESTS, "stays": STAYS, "together": SupportMotion(TOGETHER)}
         bodies = len(obstacle.free_bodies)
         return MoveContext(
             belief, unit, stepping.swing_time(self.rate), self.lift_ratio * unit,

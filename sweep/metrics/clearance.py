@@ -8,8 +8,8 @@ from jaxtyping import Array, Float
 from sweep.core.metric import Cause, make_extremes_metric
 from sweep.core.rotations import matrix
 from sweep.metrics.tick import MetricTick
-from sweep.models.geometry import base_gap, fold_gap, leg_gap, link_capsules
-from sweep.models.robot import half_size
+from sweep.models.geometry import gap_between_legs, leg_base_gap, link_capsules, thigh_shin_gap
+from sweep.models.robot import base_half_size
 from sweep.models.solids import distance_to_box
 
 
@@ -22,10 +22,10 @@ def distances(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
     base = tick.actual.position, matrix(tick.actual.quat)
     solids = ctx.world.obstacle.solids(tick.bodies)
     links = link_capsules(tick.joints, robot).distance_to(solids)
-    yield jnp.minimum(jnp.min(links), distance_to_box(solids, *base, half_size(robot)))
-    yield leg_gap(tick.joints[:, -3:]) - 2 * robot.link_radius
-    yield base_gap(tick.joints, *base, robot)
-    yield fold_gap(tick.joints, robot.fork_ratio * robot.shin + robot.link_radius) - 2 * robot.link_radius
+    yield jnp.minimum(jnp.min(links), distance_to_box(solids, *base, base_half_size(robot)))
+    yield gap_between_legs(tick.joints[:, -3:]) - 2 * robot.link_radius
+    yield leg_base_gap(tick.joints, *base, robot)
+    yield thigh_shin_gap(tick.joints, robot.fork_ratio * robot.shin + robot.link_radius) - 2 * robot.link_radius
 
 
 METRIC = make_extremes_metric(

@@ -10,13 +10,13 @@ from sweep.metrics.tick import MetricTick
 from sweep.models.obstacles.surface import surface_at
 
 
-def largest_depth(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
+def largest_penetration(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
     """Largest depth (m) of a simulated foot inside the obstacle in this tick."""
     yield jnp.max(surface_at(ctx.world.obstacle, ctx.report.joints[:, -1], ctx.report.bodies).depth)
 
 
 METRIC = make_extremes_metric(
-    largest_depth,
+    largest_penetration,
     {"depth_max_m": "largest penetration of a foot into its support"},
     (
         Cause(

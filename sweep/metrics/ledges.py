@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.controllers.plan import is_under_law
+from sweep.controllers.plan import is_guided_by_law
 from sweep.core.metric import Cause, Metric, make_constant_begin
 from sweep.manoeuvres.balancing.ball_ledges import OFF, ON
 from sweep.metrics.tick import MetricTick, RolloutEnd, goal_cause
@@ -29,8 +29,8 @@ def update(state: LedgeCrossing, ctx: MetricTick) -> LedgeCrossing:
     assert isinstance(ledges, Ledges)
     ball, speed = tick.actual.free.position[0], tick.actual.free.velocity[0, 0]
     ahead = tick.centre_of_mass[0] - ball[0]
-    leaves = is_under_law(ctx.plan, ctx.stage, OFF)
-    past = jnp.where(is_under_law(ctx.plan, ctx.stage, ON), ahead, jnp.where(leaves, -ahead, -jnp.inf))
+    leaves = is_guided_by_law(ctx.plan, ctx.stage, OFF)
+    past = jnp.where(is_guided_by_law(ctx.plan, ctx.stage, ON), ahead, jnp.where(leaves, -ahead, -jnp.inf))
     gap = jnp.minimum(state.wall_gap, jnp.where(leaves, jnp.inf, ledges.far_wall_x - ball[0]))
     return LedgeCrossing(
         mass_centre_past_ball=jnp.maximum(state.mass_centre_past_ball, past),

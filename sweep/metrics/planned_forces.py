@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.controllers.layers import Feedforward
+from sweep.controllers.layers import ForceFeedforward
 from sweep.controllers.plan import Plan
 from sweep.core.metric import Cause, Metric
 from sweep.metrics.tick import RolloutEnd
@@ -11,13 +11,13 @@ from sweep.metrics.tick import RolloutEnd
 
 def compute(state: None, rollout: RolloutEnd) -> dict[str, Array]:
     """Largest unsupported weight over the plan's stages, and its stage."""
-    left = imbalance(rollout.plan)
+    left = unsupported_weight(rollout.plan)
     return {"imbalance_max": jnp.max(left), "infeasible_stage": jnp.argmax(left).astype(jnp.int32)}
 
 
-def imbalance(plan: Plan) -> Float[Array, " s"]:
+def unsupported_weight(plan: Plan) -> Float[Array, " s"]:
     """Return the weight that the planned forces of each stage leave unsupported; empty without planned forces."""
-    forces = plan.layer(Feedforward)
+    forces = plan.find_layer(ForceFeedforward)
     return jnp.zeros_like(plan.duration) if forces is None else forces.imbalance
 
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.controllers.plan import is_under_law
+from sweep.controllers.plan import is_guided_by_law
 from sweep.core.metric import Cause, Metric
 from sweep.core.rotations import heading, rotate
 from sweep.manoeuvres.afloat.raft_cross import PUSH, WAIT
@@ -29,7 +29,7 @@ class RaftMotionExtremes(NamedTuple):
 def begin(start: RolloutStart) -> RaftMotionExtremes:
     """Initial state; no foot is loaded yet."""
     far, zero = jnp.full((), jnp.inf, start.feet.dtype), jnp.zeros((), start.feet.dtype)
-    return RaftMotionExtremes(far, far, zero, zero, zero, zero, BodyTouchdownPoints.at_start(start), zero)
+    return RaftMotionExtremes(far, far, zero, zero, zero, zero, BodyTouchdownPoints.before_first_load(start), zero)
 
 
 def update(state: RaftMotionExtremes, ctx: MetricTick) -> RaftMotionExtremes:
@@ -44,7 +44,7 @@ def update(state: RaftMotionExtremes, ctx: MetricTick) -> RaftMotionExtremes:
         for side in (1.0, -1.0)
     )
     up = rotate(free.quat[0], jnp.array([0.0, 0.0, 1.0], free.quat.dtype))
-    pushes, arrives = (is_under_law(ctx.plan, ctx.stage, law) for law in (PUSH, WAIT))
+    pushes, arrives = (is_guided_by_law(ctx.plan, ctx.stage, law) for law in (PUSH, WAIT))
     speed = free.velocity[0, 0]
     hold, way = state.touchdown_points.update(ctx)
     return RaftMotionExtremes(

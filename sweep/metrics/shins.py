@@ -5,7 +5,7 @@ from jaxtyping import Array, Float
 
 from sweep.core.metric import Cause, Metric, make_constant_begin
 from sweep.metrics.tick import MetricTick
-from sweep.models.geometry import shin_slopes
+from sweep.models.geometry import shin_slope_sines
 from sweep.models.obstacles.surface import surface_at
 
 
@@ -14,7 +14,9 @@ def update(state: Float[Array, ""], ctx: MetricTick) -> Float[Array, ""]:
     tick = ctx.report
     normal = surface_at(ctx.world.obstacle, tick.joints[:, -1], tick.bodies).normal
     goes = ctx.plan.swing[ctx.stage] & ~ctx.finished & (ctx.phase <= 0.5)
-    return jnp.minimum(state, jnp.min(jnp.where(tick.actual.loaded & ~goes, shin_slopes(tick.joints, normal), 1.0)))
+    return jnp.minimum(
+        state, jnp.min(jnp.where(tick.actual.loaded & ~goes, shin_slope_sines(tick.joints, normal), 1.0))
+    )
 
 
 METRIC = Metric(

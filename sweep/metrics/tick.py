@@ -85,7 +85,7 @@ class RolloutStart(NamedTuple):
 
     def init_touchdown_points(self) -> "BodyTouchdownPoints":
         """Return the touchdown points before any foot is loaded."""
-        return BodyTouchdownPoints.at_start(self)
+        return BodyTouchdownPoints.before_first_load(self)
 
 
 class MetricTick(NamedTuple):
@@ -177,7 +177,7 @@ class BodyTouchdownPoints(NamedTuple):
     is_holding: Bool[Array, " 6"]
 
     @classmethod
-    def at_start(cls, start: RolloutStart) -> "BodyTouchdownPoints":
+    def before_first_load(cls, start: RolloutStart) -> "BodyTouchdownPoints":
         """State of feet that have not been loaded yet."""
         body = jnp.full(6, -1, jnp.int32) if len(start.free.position) else None
         return cls(jnp.zeros_like(start.feet), body, jnp.zeros(6, bool))

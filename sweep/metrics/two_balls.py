@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sweep.controllers.plan import is_under_law
+from sweep.controllers.plan import is_guided_by_law
 from sweep.core.metric import Metric
 from sweep.manoeuvres.balancing.ball_to_ball import OVER
 from sweep.metrics.tick import REST_DURATION_S, FinalInterval, MetricTick, RolloutEnd, RolloutStart, goal_cause
@@ -39,7 +39,7 @@ def update(state: BallMeeting, ctx: MetricTick) -> BallMeeting:
     assert isinstance(balls, TwoBalls)
     apart = jnp.linalg.norm(free.position[1] - free.position[0]) - 2 * balls.radius
     speed = free.velocity[0, 0] - free.velocity[1, 0]
-    both = is_under_law(ctx.plan, ctx.stage, OVER)
+    both = is_guided_by_law(ctx.plan, ctx.stage, OVER)
     return BallMeeting(
         have_met=state.have_met | (apart < TOUCHING_GAP_M),
         meeting_speed=jnp.where(state.have_met | (apart >= TOUCHING_GAP_M), state.meeting_speed, speed),

@@ -105,7 +105,7 @@ class Case:
     control: Control = Control()
     plan: PlanTable = PlanTable()
 
-    def obstacle_as[T: Obstacle](self, kind: type[T]) -> T:
+    def obstacle_of_type[T: Obstacle](self, kind: type[T]) -> T:
         """Return the obstacle with the type that the manoeuvre supports."""
         assert isinstance(self.obstacle, kind)
         return self.obstacle

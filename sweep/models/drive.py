@@ -30,7 +30,7 @@ class Drive:
     power_limit: float = quantity(2250.0, "W", above=0)
 
 
-class Servo(NamedTuple):
+class ServoCommand(NamedTuple):
     """The command of a tracker to all drives: U = clip(stiffness (target - q) - damping q' + torque, +-torque_limit).
 
     In position mode stiffness and damping are those of (1.2.1). A joint in torque mode has no stiffness, and a damping
@@ -43,7 +43,7 @@ class Servo(NamedTuple):
     torque: Float[Array, "6 3"]  # N m
 
 
-def position_mode(drive: Drive, target: Float[Array, "6 3"]) -> Servo:
+def position_command(drive: Drive, target: Float[Array, "6 3"]) -> ServoCommand:
     """Command all joints to target angles with the drive's own gains.
 
     Args:
@@ -51,10 +51,10 @@ def position_mode(drive: Drive, target: Float[Array, "6 3"]) -> Servo:
         target: alpha, beta, gamma of each leg (rad).
     """
     stiffness, damping = (jnp.full_like(target, gain) for gain in (drive.stiffness, drive.damping))
-    return Servo(target, stiffness, damping, jnp.zeros_like(target))
+    return ServoCommand(target, stiffness, damping, jnp.zeros_like(target))
 
 
-def interpolate_target(start: Servo, end: Servo, share: Array | float) -> Servo:
+def interpolate_target(start: ServoCommand, end: ServoCommand, share: Array | float) -> ServoCommand:
     """Interpolate the target angles within a control tick; a target that is held for the whole tick ratchets the feet.
 
     Args:

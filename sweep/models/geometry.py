@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from sweep.models.obstacles.surface import BodyPoses, Obstacle, surface_at
-from sweep.models.robot import FOOT_LENGTH, PIN_RADIUS, Robot, half_between_hips
+from sweep.models.robot import FOOT_LENGTH, PIN_RADIUS, Robot, forbidden_half_size
 from sweep.models.solids import Solid, distance_from_box, distance_to_segments
 
 BISECTION_STEPS = 8  # a segment of 0.4 m is searched to 1 mm
@@ -110,7 +110,7 @@ def _dot(a: Array, b: Array) -> Array:
     return jnp.sum(a * b, axis=-1)
 
 
-def leg_gap(joints: Float[Array, "6 k 3"]) -> Float[Array, ""]:
+def gap_between_legs(joints: Float[Array, "6 k 3"]) -> Float[Array, ""]:
     """Least distance between the centre lines of any two legs.
 
     `joints` are the points along each leg from the end of the hip's first link to the foot.
@@ -162,7 +162,7 @@ def link_capsules(joints: Float[Array, "6 k 3"], robot: Robot) -> Capsules:
     )
 
 
-def shin_slopes(joints: Float[Array, "6 k 3"], normal: Float[Array, "6 3"]) -> Float[Array, " 6"]:
+def shin_slope_sines(joints: Float[Array, "6 k 3"], normal: Float[Array, "6 3"]) -> Float[Array, " 6"]:
     """Sines of the angles between shins and the faces under their feet.
 
     Args:
@@ -176,7 +176,7 @@ def shin_slopes(joints: Float[Array, "6 k 3"], normal: Float[Array, "6 3"]) -> F
     return _dot(shin, normal) / jnp.sqrt(_dot(shin, shin) + 1e-12)
 
 
-def base_gap(
+def leg_base_gap(
     joints: Float[Array, "6 k 3"],
     centre: Float[Array, " 3"],
     rotation: Float[Array, "3 3"],
@@ -198,10 +198,10 @@ def base_gap(
     points = (joints[:, -3:] - centre) @ rotation
     points = points.at[:, 0].set(_point_along(points[:, 0], points[:, 1], robot.hip_clearance + robot.link_radius))
     to_base = jax.vmap(segment_box_distance, (0, 0, None))
-    return jnp.min(to_base(points[:, :-1], points[:, 1:], half_between_hips(robot))) - robot.link_radius
+    return jnp.min(to_base(points[:, :-1], points[:, 1:], forbidden_half_size(robot))) - robot.link_radius
 
 
-def fold_gap(joints: Float[Array, "6 k 3"], clearance: Array | float) -> Float[Array, ""]:
+def thigh_shin_gap(joints: Float[Array, "6 k 3"], clearance: Array | float) -> Float[Array, ""]:
     """Least distance between the centre lines of a leg's thigh and shin.
 
     Args:

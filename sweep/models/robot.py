@@ -41,18 +41,18 @@ class Robot:
     knees: str = choice("outward", "outward", "mirror")  # for feet on the inner side of their hip, see formulas.leg
 
 
-def half_size(robot: Robot) -> Float[Array, " 3"]:
+def base_half_size(robot: Robot) -> Float[Array, " 3"]:
     """Half length, width and height of the base (m)."""
     return 0.5 * jnp.stack([jnp.asarray(s, float) for s in (robot.body_length, robot.body_width, robot.body_height)])
 
 
-def half_between_hips(robot: Robot) -> Float[Array, " 3"]:
+def forbidden_half_size(robot: Robot) -> Float[Array, " 3"]:
     """Half sizes (m) of the box that legs must not enter: the base without the margin that thighs sweep.
 
     Hips lie on the sides of the base. Between the hips the sides stand back by a link's radius, so that a thigh which
     turns along a side passes it.
     """
-    return half_size(robot) - robot.link_radius * jnp.array([1.0, 1.0, 0.0])
+    return base_half_size(robot) - robot.link_radius * jnp.array([1.0, 1.0, 0.0])
 
 
 def total_mass(robot: Robot) -> Array | float:
@@ -61,7 +61,7 @@ def total_mass(robot: Robot) -> Array | float:
     return robot.body_mass + N_LEGS * (coxa + robot.thigh_mass + robot.shin_mass)
 
 
-def leg_unit(robot: Robot) -> Array | float:
+def length_unit(robot: Robot) -> Array | float:
     """Unit of lengths in plans (m): thigh and shin, scaled so that the monograph's robot has its base length a_r."""
     return (robot.thigh + robot.shin) * (1.05 / 0.855)
 

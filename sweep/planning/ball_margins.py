@@ -22,24 +22,24 @@ from sweep.core.constants import GRAVITY
 from sweep.core.rotations import exponential, multiply, rotate, wrap_angle
 from sweep.formulas.ball import ROLLING_INERTIA
 from sweep.models.case import Case
-from sweep.models.frames import WORLD_FRAME, body_frame
+from sweep.models.frames import WORLD_FRAME, body_frame_number
 from sweep.models.geometry import support_margin
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.surface import FreeState, body_poses, free_start_state, surface_at
 from sweep.models.posture import Stance, joint_targets, mass_centre
 from sweep.models.robot import total_mass
-from sweep.planning.kinematic_margins import Margins, Swing, stance_margins
+from sweep.planning.kinematic_margins import PoseMargins, SwingFeet, stance_margins
 
 SMOOTHING_TIME = 0.2  # s, over which the mass centre's path is averaged
 # s before the end of a stage at which a tick ends, so that feet begin the next stage where they are at the end
 END_OFFSET = 1e-3
 
 
-class PlayedPlan(NamedTuple):
+class KinematicPlayback(NamedTuple):
     """Poses and speeds of a plan on a ball, computed by kinematics alone, one entry a tick."""
 
     stage: Int[Array, " t"]
-    margins: Margins
+    margins: PoseMargins
     free: FreeState
     stance: Stance
     stands: Bool[Array, "t 6"]
@@ -63,7 +63,7 @@ class BallRoll(NamedTuple):
     centre: Float[Array, " 3"]  # m
 
 
-def play_plan(case: Case, plan: Plan, period: float, ticks: int) -> PlayedPlan:
+def play_plan(case: Case, plan: Plan, period: float, ticks: int) -> KinematicPlayback:
     """Play a plan on a ball by its tracker, without physics.
 
     Args:
@@ -92,7 +92,7 @@ def play_plan(case: Case, plan: Plan, period: float, ticks: int) -> PlayedPlan:
         free,
     )
 
-    def tick(carry: tuple, _: None) -> tuple[tuple, PlayedPlan]:
+    def tick(carry: tuple, _: None) -> tuple[tuple, KinematicPlayback]:
         state, observation, contacts, roll = carry
         remains = plan.duration[state.stage] - state.clock
         h = jnp.where((remains > 2 * END_OFFSET) & (remains <= period + END_OFFSET), remains - END_OFFSET, period)
@@ -107,7 +107,7 @@ def play_plan(case: Case, plan: Plan, period: float, ticks: int) -> PlayedPlan:
         goal = state.goal if case.manoeuvre.is_guided else plan.foothold[stage]
         starts, goal = (to_world(at, plan.foot_frame[stage], free) for at in (state.feet, goal))
         rates = wrap_angle(joints - observation.angles) / h
-        swing = Swing(swings, starts, goal)
+        swing = SwingFeet(swings, starts, goal)
         margins = stance_margins(case, body_poses(free), command.target, joints, rates, command.shortfall, swing)
         on_floor = jnp.any(~swings & (contacts.frame == WORLD_FRAME))
         centre = position + rotate(quat, mass_centre(case.robot, joints))
@@ -117,7 +117,7 @@ def play_plan(case: Case, plan: Plan, period: float, ticks: int) -> PlayedPlan:
             position=position, quat=quat, velocity=velocity, angles=joints, free=next_free
         )
         stance = command.target._replace(feet=feet)
-        return (state, observation, contacts, roll), PlayedPlan(stage, margins, free, stance, ~swings, centre)
+        return (state, observation, contacts, roll), KinematicPlayback(stage, margins, free, stance, ~swings, centre)
 
     _, played = jax.lax.scan(tick, (state, observation, contacts, BallRoll(jnp.zeros(2), centre)), None, length=ticks)
     return played
@@ -126,7 +126,7 @@ def play_plan(case: Case, plan: Plan, period: float, ticks: int) -> PlayedPlan:
 def _contacts_at(case: Case, feet: Float[Array, "6 3"], free: FreeState) -> FootContacts:
     """Contacts of feet (m, world axes) with the surface nearest to each."""
     body = surface_at(case.obstacle, feet, body_poses(free)).body
-    frame = jnp.array([WORLD_FRAME, *map(body_frame, range(len(case.obstacle.free_bodies)))])[body + 1]
+    frame = jnp.array([WORLD_FRAME, *map(body_frame_number, range(len(case.obstacle.free_bodies)))])[body + 1]
     return FootContacts(to_frame(feet, frame, free), frame)
 
 
@@ -145,7 +145,7 @@ def _roll_ball(
     K = up x k, k = 7/5 M R v + m ((z + R)(v + u) - x u_z), where the mass centre moves by u over the ball and lies x
     ahead and z above; k changes by m (g x + u_z v).
     """
-    body_motion, follows = plan.layer(ReferenceBodyMotion), jnp.asarray(True)
+    body_motion, follows = plan.find_layer(ReferenceBodyMotion), jnp.asarray(True)
     if body_motion is not None:
         follows = jnp.asarray(body_motion.support.mode)[state.stage, 0] == MEASURED
     assert isinstance(case.obstacle, Ball)
@@ -169,7 +169,7 @@ def _roll_ball(
     return BallRoll(inertia * v + own, centre), next_free
 
 
-def zmp_margin(played: PlayedPlan, period: float) -> Float[Array, " t"]:
+def zmp_margin(played: KinematicPlayback, period: float) -> Float[Array, " t"]:
     """Return how far (m) the zero-moment point lies inside the support polygon, at the mean height of standing feet.
 
     The mass centre's path is averaged over `SMOOTHING_TIME`, as drives smooth the jumps of commands.
@@ -193,7 +193,7 @@ def zmp_margin(played: PlayedPlan, period: float) -> Float[Array, " t"]:
     return jax.vmap(inside)(played.stance, played.stands, mean[1:-1], push)
 
 
-def stage_minima(played: PlayedPlan, stages: int) -> Margins:
+def stage_minima(played: KinematicPlayback, stages: int) -> PoseMargins:
     """Return the least margins of every stage.
 
     Args:

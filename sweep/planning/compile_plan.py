@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from sweep.controllers.flywheel import Flywheel, Gains
+from sweep.controllers.flywheel import Flywheel, FlywheelGains
 from sweep.controllers.frames import stance_to_frame, stance_to_world
-from sweep.controllers.layers import Ease, HeldLegs
-from sweep.controllers.plan import BasePaths, Plan, Stage, Support, SwingCurves
+from sweep.controllers.layers import GradualFootholds, HeldLegs
+from sweep.controllers.plan import BasePaths, Plan, Stage, SupportMotion, SwingCurves
 from sweep.controllers.reference_body_motion import ReferenceBodyMotion
 from sweep.core.rotations import exponential, multiply
 from sweep.models.legs import LEGS
@@ -18,8 +18,8 @@ from sweep.models.posture import Stance
 
 
 def compile_plan(
-    start: Stance, stages: Sequence[Stage], patience: Array | float, gains: Gains | None = None, steered: bool = False,
-    ease: Array | float | None = None, free: FreeState | None = None, afloat: bool = False,
+    start: Stance, stages: Sequence[Stage], patience: Array | float, gains: FlywheelGains | None = None,
+    steered: bool = False, ease: Array | float | None = None, free: FreeState | None = None, afloat: bool = False,
 ) -> Plan:  # fmt: skip
     """Return the plan of a list of stages.
 
@@ -73,14 +73,14 @@ def compile_plan(
     table = jax.tree.map(lambda *values: jnp.stack(values), *rows)
     names = tuple(stage.name for stage in stages)
     onset, laws = tuple(stage.onset for stage in stages), tuple(stage.law for stage in stages)
-    eased = None if ease is None else Ease(jnp.asarray(ease, float))
+    eased = None if ease is None else GradualFootholds(jnp.asarray(ease, float))
     layers = (eased, _held_legs(stages), _flywheel(stages, gains), _body_motion(stages, afloat))
     return Plan(names=names, start=start, patience=jnp.asarray(patience, float), steered=steered, onset=onset,
                 laws=laws,
                 layers=tuple(layer for layer in layers if layer is not None), **table)  # fmt: skip
 
 
-def _flywheel(stages: Sequence[Stage], gains: Gains | None) -> Flywheel | None:
+def _flywheel(stages: Sequence[Stage], gains: FlywheelGains | None) -> Flywheel | None:
     mode = jnp.array([stage.flywheel for stage in stages], jnp.int32)
     return None if gains is None else Flywheel(mode, jax.tree.map(lambda x: jnp.asarray(x, float), gains))
 
@@ -96,7 +96,10 @@ def _body_motion(stages: Sequence[Stage], afloat: bool) -> ReferenceBodyMotion |
     count = max(len(stage.support) for stage in stages)
     if not count:
         return None
-    rows = [[Support(*map(jnp.asarray, each)) for each in stage.support or (Support(),) * count] for stage in stages]
+    rows = [
+        [SupportMotion(*map(jnp.asarray, each)) for each in stage.support or (SupportMotion(),) * count]
+        for stage in stages
+    ]
     support = jax.tree.map(lambda *leaves: jnp.stack(leaves).reshape(len(rows), count, *leaves[0].shape),
                            *[each for row in rows for each in row])  # fmt: skip
     return ReferenceBodyMotion(support, afloat)

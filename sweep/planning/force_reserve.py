@@ -15,7 +15,7 @@ import numpy as np
 from jax.lax import stop_gradient
 from jaxtyping import Array, Float
 
-from sweep.planning.forces import STEP_LENGTHS, Bounds, StaticPose, joint_torque
+from sweep.planning.forces import STEP_LENGTHS, ForceBounds, ForcePlanningPose, joint_torque
 
 # weight of the barriers relative to the reserve, for each Newton step
 BARRIER_WEIGHTS = np.repeat(np.geomspace(0.1, 1e-4, 16).astype(np.float32), 3)
@@ -30,7 +30,7 @@ class BarrierState(NamedTuple):
     multipliers: Float[Array, " 6"]  # of the balance of force and moment
 
 
-def force_reserve(pose: StaticPose, bounds: Bounds) -> Float[Array, ""]:
+def force_reserve(pose: ForcePlanningPose, bounds: ForceBounds) -> Float[Array, ""]:
     """Return the largest amount by which all bounds of foot forces can be tightened, differentiable in the pose.
 
     Args:
@@ -46,7 +46,7 @@ def force_reserve(pose: StaticPose, bounds: Bounds) -> Float[Array, ""]:
     return optimum.reserve + gain - stop_gradient(gain)
 
 
-def _solve(pose: StaticPose, bounds: Bounds) -> BarrierState:
+def _solve(pose: ForcePlanningPose, bounds: ForceBounds) -> BarrierState:
     grasp = jax.jacfwd(lambda f: -_unbalanced(pose, f))(jnp.zeros((6, 3))).reshape(6, 18)
     first = (grasp.T @ jnp.linalg.solve(grasp @ grasp.T, _unbalanced(pose, jnp.zeros((6, 3))))).reshape(6, 3)
     least_slack = jnp.min(_slack(pose, bounds, BarrierState(first, jnp.zeros(()), jnp.zeros(6))))
@@ -79,14 +79,14 @@ def _solve(pose: StaticPose, bounds: Bounds) -> BarrierState:
     )
 
 
-def _unbalanced(pose: StaticPose, force: Array) -> Float[Array, " 6"]:
+def _unbalanced(pose: ForcePlanningPose, force: Array) -> Float[Array, " 6"]:
     """Unbalanced force and moment about the mass centre (6,), in units of weight and weight times m."""
     force = jnp.where(pose.stands[:, None], force, 0.0)
     moment = jnp.sum(jnp.cross(pose.arm, force), axis=0)
     return jnp.zeros(6).at[2].set(1.0) - jnp.concatenate([jnp.sum(force, axis=0), moment])
 
 
-def _slack(pose: StaticPose, bounds: Bounds, iterate: BarrierState) -> Float[Array, "6 k"]:
+def _slack(pose: ForcePlanningPose, bounds: ForceBounds, iterate: BarrierState) -> Float[Array, "6 k"]:
     """Distance (6, k) of foot forces from each bound, less the reserve; positive inside."""
     normal = jnp.sum(iterate.force * pose.normal, axis=-1)
     tangential = jnp.sqrt(jnp.sum((iterate.force - normal[:, None] * pose.normal) ** 2, axis=-1) + 1e-12)
@@ -97,5 +97,5 @@ def _slack(pose: StaticPose, bounds: Bounds, iterate: BarrierState) -> Float[Arr
     return jnp.where(pose.stands[:, None], jnp.concatenate(slack, axis=-1), 1.0)
 
 
-def _log_barrier(pose: StaticPose, bounds: Bounds, iterate: BarrierState) -> Array:
+def _log_barrier(pose: ForcePlanningPose, bounds: ForceBounds, iterate: BarrierState) -> Array:
     return jnp.sum(jnp.log(_slack(pose, bounds, iterate)))

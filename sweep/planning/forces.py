@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers.frames import stance_to_world, surface_under
-from sweep.controllers.layers import Feedforward
-from sweep.controllers.plan import Plan, Stage, reference_stance, stage_start
+from sweep.controllers.layers import ForceFeedforward
+from sweep.controllers.plan import Plan, Stage, reference_stance, stage_start_pose
 from sweep.core.constants import GRAVITY
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import rotate
@@ -28,8 +28,8 @@ Effort = Literal["friction", "torque", "normal"]
 _BOUND: dict[Effort, str] = {"friction": "friction", "torque": "torque", "normal": "most_normal"}
 
 # Each Newton step bounds the effort by a level above its largest value, by a relative slack that shrinks every second
-# step. It starts without a bound, from forces that are not in balance, and ends at `MIN_SLACK` unless `Bounds` sets
-# another one.
+# step. It starts without a bound, from forces that are not in balance, and ends at `MIN_SLACK` unless `ForceBounds`
+# sets another one.
 MIN_SLACK = 0.01
 SLACK = np.repeat(np.array([1e12] * 12 + list(np.geomspace(5 * MIN_SLACK, MIN_SLACK, 40)), np.float32), 2)
 # of a Newton step, of which the longest that stays within bounds is taken
@@ -41,8 +41,8 @@ LOAD = "load"  # law of stages in which load transfers between feet
 KNOTS = 5  # moments of a stage for which forces are planned
 
 
-class StaticPose(NamedTuple):
-    """A pose of the robot for force planning, world axes; made by `static_pose`."""
+class ForcePlanningPose(NamedTuple):
+    """A pose of the robot for force planning, world axes; made by `force_planning_pose`."""
 
     arm: Float[Array, "6 3"]  # m, feet from the robot's mass centre
     normal: Float[Array, "6 3"]  # of the surfaces under the feet, outward
@@ -52,7 +52,7 @@ class StaticPose(NamedTuple):
     weight: Float[Array, ""]  # N
 
 
-class Bounds(NamedTuple):
+class ForceBounds(NamedTuple):
     """Bounds on foot forces, each a number or one for each foot; made by `PlannedForces.force_bounds`."""
 
     friction: Array | float  # coefficient
@@ -66,8 +66,8 @@ class Bounds(NamedTuple):
 class ForceProblem(NamedTuple):
     """Pose and bounds for which forces are planned."""
 
-    pose: StaticPose
-    bounds: Bounds
+    pose: ForcePlanningPose
+    bounds: ForceBounds
 
 
 class SearchState(NamedTuple):
@@ -87,7 +87,9 @@ class FootForces(NamedTuple):
     imbalance: Float[Array, ""]  # in weights (and weights times m), force and moment that are left unsupported
 
 
-def static_pose(robot: Robot, stance: Stance, normal: Float[Array, "6 3"], stands: Bool[Array, " 6"]) -> StaticPose:
+def force_planning_pose(
+    robot: Robot, stance: Stance, normal: Float[Array, "6 3"], stands: Bool[Array, " 6"]
+) -> ForcePlanningPose:
     """Return the pose of a stance for force planning.
 
     Args:
@@ -102,12 +104,12 @@ def static_pose(robot: Robot, stance: Stance, normal: Float[Array, "6 3"], stand
     slope = jax.jacfwd(lambda a: rotate(quat, foot_positions(robot, a)))(angles)  # (6, 3, 6, 3)
     lift = jax.grad(lambda a: rotate(stance.quat, mass_centre(robot, a))[2])(angles)
     centre = stance.position + rotate(stance.quat, mass_centre(robot, angles))
-    return StaticPose(
+    return ForcePlanningPose(
         stance.feet - centre, normal, stands, jnp.einsum("lilj->lij", slope), weight * lift, jnp.asarray(weight)
     )
 
 
-def joint_torque(pose: StaticPose, force: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
+def joint_torque(pose: ForcePlanningPose, force: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
     """Return the joint torques (N m) that balance foot forces and the weight of the links at rest.
 
     Args:
@@ -117,7 +119,7 @@ def joint_torque(pose: StaticPose, force: Float[Array, "6 3"]) -> Float[Array, "
     return pose.own_torque - jnp.einsum("lij,li->lj", pose.jacobian, force)
 
 
-def distribute_forces(pose: StaticPose, bounds: Bounds, least: Effort) -> FootForces:
+def distribute_forces(pose: ForcePlanningPose, bounds: ForceBounds, least: Effort) -> FootForces:
     """Return balanced foot forces within bounds that nearly minimise one effort.
 
     The method of centres: a level slightly above the largest effort is set, a Newton step moves the forces towards the
@@ -130,7 +132,7 @@ def distribute_forces(pose: StaticPose, bounds: Bounds, least: Effort) -> FootFo
         bounds: bounds on the forces.
         least: effort to minimise.
     """
-    problem = ForceProblem(pose, Bounds(*(jnp.asarray(b, float) for b in bounds)))
+    problem = ForceProblem(pose, ForceBounds(*(jnp.asarray(b, float) for b in bounds)))
     return evaluate_forces(pose, force_search(least)(jax.tree.map(lambda x: x[None], problem))[0])
 
 
@@ -167,7 +169,7 @@ def search_step(least: Effort, problem: ForceProblem, search: SearchState, numbe
     return _SearchTask.from_problem(problem).step(search, number, least)
 
 
-def evaluate_forces(pose: StaticPose, force: Float[Array, "6 3"]) -> FootForces:
+def evaluate_forces(pose: ForcePlanningPose, force: Float[Array, "6 3"]) -> FootForces:
     """Return forces in N and the effort they take; forces that are not finite count as 0.
 
     Args:
@@ -197,14 +199,14 @@ class _ScaledPose(NamedTuple):
     own: Float[Array, "6 3"]
 
     @classmethod
-    def from_pose(cls, pose: StaticPose) -> "_ScaledPose":
+    def from_pose(cls, pose: ForcePlanningPose) -> "_ScaledPose":
         stands = pose.stands.astype(pose.arm.dtype)
         eye = jnp.broadcast_to(jnp.eye(3, dtype=stands.dtype), (6, 3, 3))
         moment = jnp.cross(pose.arm[:, None, :], eye).swapaxes(1, 2)
         grasp = jnp.concatenate([eye, moment], axis=1) * stands[:, None, None]
         return cls(pose.normal, stands, grasp, -pose.jacobian.swapaxes(1, 2), pose.own_torque / pose.weight)
 
-    def initial_forces(self, bounds: Bounds) -> Array:
+    def initial_forces(self, bounds: ForceBounds) -> Array:
         """Unbalanced forces along the normals, within the bounds if the least normal force permits it."""
         pull = jnp.abs(jnp.einsum("lij,lj->li", self.drive, self.normal)) + 1e-6
         most = jnp.min((jnp.asarray(bounds.torque)[:, None] - jnp.abs(self.own)) / pull, axis=-1)
@@ -229,7 +231,7 @@ class _ScaledPose(NamedTuple):
         weight = jnp.zeros(6, force.dtype).at[2].set(1.0)
         return weight - jnp.einsum("lij,lj->i", self.grasp, force)
 
-    def margins(self, force: Array, bounds: Bounds) -> dict[Effort, Float[Array, "6 k"]]:
+    def margins(self, force: Array, bounds: ForceBounds) -> dict[Effort, Float[Array, "6 k"]]:
         """Distance to each bound, positive inside."""
         normal = jnp.sum(force * self.normal, axis=-1)
         tangential = jnp.sum((force - normal[:, None] * self.normal) ** 2, axis=-1)
@@ -242,12 +244,12 @@ class _ScaledPose(NamedTuple):
         }
         return {kind: jnp.where(self.stands[:, None] > 0, r, 1.0) for kind, r in margins.items()}
 
-    def barrier(self, force: Array, bounds: Bounds, least: Effort) -> Array:
+    def barrier(self, force: Array, bounds: ForceBounds, least: Effort) -> Array:
         weight = {kind: EFFORT_WEIGHT if kind == least else 1.0 for kind in _BOUND}
         logs = {kind: jnp.sum(jnp.log(margins)) for kind, margins in self.margins(force, bounds).items()}
         return -sum((weight[kind] * logs[kind] for kind in logs), jnp.zeros(()))
 
-    def newton_step(self, force: Array, bounds: Bounds, least: Effort) -> Array:
+    def newton_step(self, force: Array, bounds: ForceBounds, least: Effort) -> Array:
         """Forces after a Newton step towards balance and the centre of the bounds, shortened to stay inside."""
         gradient = jax.grad(self.barrier)(force, bounds, least)
         swings = (1 - self.stands)[:, None, None] * jnp.eye(3, dtype=force.dtype)
@@ -284,19 +286,19 @@ class _SearchTask(NamedTuple):
     """A force problem in scaled form."""
 
     scaled: _ScaledPose
-    bounds: Bounds  # of each foot, in weights
+    bounds: ForceBounds  # of each foot, in weights
     slack: Float[Array, ""]  # over `MIN_SLACK`
 
     @classmethod
     def from_problem(cls, problem: ForceProblem) -> "_SearchTask":
         (pose, bounds), scaled = problem, _ScaledPose.from_pose(problem.pose)
-        start = Bounds(
+        start = ForceBounds(
             bounds.friction,
             bounds.torque / pose.weight,
             bounds.least_normal / pose.weight,
             bounds.most_normal / pose.weight,
         )
-        each = Bounds(*[jnp.broadcast_to(jnp.asarray(b, scaled.normal.dtype), (6,)) for b in start])
+        each = ForceBounds(*[jnp.broadcast_to(jnp.asarray(b, scaled.normal.dtype), (6,)) for b in start])
         return cls(scaled, each, jnp.asarray(bounds.slack / MIN_SLACK, scaled.normal.dtype))
 
     @property
@@ -326,7 +328,7 @@ class ForcePlan(NamedTuple):
     optimum: FootForces  # optimum of each moment by itself, leading axes (s, k)
 
 
-def planned_pose(belief: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) -> StaticPose:
+def planned_pose(belief: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) -> ForcePlanningPose:
     """Return the planned pose at a phase of a stage, with free bodies where they start.
 
     Args:
@@ -336,13 +338,13 @@ def planned_pose(belief: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array
         u: phase of the stage, 0 to 1.
     """
     free, frames = free_start_state(belief.obstacle), (plan.foot_frame[stage], plan.base_frame[stage])
-    feet, position = stage_start(plan, stage, free)
+    feet, position = stage_start_pose(plan, stage, free)
     stance = stance_to_world(reference_stance(plan, stage, u, feet, position), *frames, free)
     normal = surface_under(belief.obstacle, feet, plan.foot_frame[stage]).normal
-    return static_pose(belief.robot, stance, normal, ~plan.swing[stage])
+    return force_planning_pose(belief.robot, stance, normal, ~plan.swing[stage])
 
 
-def plan_forces(belief: Case, plan: Plan, bounds: Bounds, least: Effort) -> ForcePlan:
+def plan_forces(belief: Case, plan: Plan, bounds: ForceBounds, least: Effort) -> ForcePlan:
     """Plan foot forces along a whole plan, with the feet on the believed obstacle.
 
     In stages without any motion, forces change linearly from those before to those after. So feet are unloaded when
@@ -356,7 +358,7 @@ def plan_forces(belief: Case, plan: Plan, bounds: Bounds, least: Effort) -> Forc
     """
     stages = plan.duration.shape[0]
     number, phases = jnp.arange(stages), jnp.linspace(0.0, 1.0, KNOTS)
-    _, base = jax.vmap(lambda s: stage_start(plan, s, free_start_state(belief.obstacle)))(number)
+    _, base = jax.vmap(lambda s: stage_start_pose(plan, s, free_start_state(belief.obstacle)))(number)
     poses = jax.vmap(lambda k: planned_pose(belief, plan, number[k // KNOTS], phases[k % KNOTS]))(
         jnp.arange(stages * KNOTS)
     )
@@ -404,10 +406,10 @@ class PlannedForces(Manoeuvre):
                   foot_frames=previous.foot_frames, base_frame=previous.base_frame), stage
         )]  # fmt: skip
 
-    def force_bounds(self, belief: Case) -> Bounds:
+    def force_bounds(self, belief: Case) -> ForceBounds:
         """Return the bounds on foot forces."""
         friction, torque = self.friction_share * belief.contact.friction, self.torque_share * belief.drive.torque_limit
-        return Bounds(friction, torque, self.least_normal, slack=self.slack)
+        return ForceBounds(friction, torque, self.least_normal, slack=self.slack)
 
     def force_plan(self, belief: Case, plan: Plan) -> ForcePlan:
         """Return the forces of least `effort` along a plan.
@@ -429,7 +431,7 @@ class PlannedForces(Manoeuvre):
         inward = -jax.vmap(lambda *feet: surface_under(belief.obstacle, *feet).normal)(plan.foothold, plan.foot_frame)
         offset = course.torque / belief.drive.stiffness
         rates = (jnp.asarray(x, float) for x in (self.creep, self.anchoring))
-        return plan.with_layer(Feedforward(offset, jnp.max(course.optimum.imbalance, axis=-1), inward, *rates))
+        return plan.with_layer(ForceFeedforward(offset, jnp.max(course.optimum.imbalance, axis=-1), inward, *rates))
 
 
 def _solve_6x6(m: Float[Array, "6 6"], right: Float[Array, " 6"]) -> Float[Array, " 6"]:

@@ -27,7 +27,7 @@ MEANINGS = {  # of gaits, in a line each
 }
 
 
-class Step(NamedTuple):
+class GaitStep(NamedTuple):
     """Geometry and time of the regular step cycle."""
 
     half_length: Array | float  # m, d_x
@@ -35,7 +35,9 @@ class Step(NamedTuple):
     time: Array | float  # s, t*
 
     @classmethod
-    def from_ratios(cls, unit: Array | float, half: Array | float, lift: Array | float, rate: Array | float) -> "Step":
+    def from_ratios(
+        cls, unit: Array | float, half: Array | float, lift: Array | float, rate: Array | float
+    ) -> "GaitStep":
         """Make a step from ratios to a length.
 
         Args:
@@ -47,12 +49,12 @@ class Step(NamedTuple):
         return cls(half * unit, lift * unit, stepping.swing_time(rate))
 
     @property
-    def landing(self) -> Array | float:
+    def half_swing_length(self) -> Array | float:
         """Half length x* (m) of a swing: a foot goes from -x* to x* about the centre of its cycle."""
         return self.half_length * stepping.LANDING_RATIO
 
 
-def body_advance(gait: Sequence[Sequence[int]], step: Step) -> Array | float:
+def body_advance(gait: Sequence[Sequence[int]], step: GaitStep) -> Array | float:
     """Return how far the body moves during one swing (m): 2 x* / (n - 1), with n groups of legs that land at x*.
 
     For the tripod 2 x*, so that v_o = k' x*/t* with k' = 2; for the gallop x*.
@@ -61,10 +63,12 @@ def body_advance(gait: Sequence[Sequence[int]], step: Step) -> Array | float:
         gait: legs that swing together, in order.
         step: the regular step.
     """
-    return 2 * step.landing / (len(gait) - 1)
+    return 2 * step.half_swing_length / (len(gait) - 1)
 
 
-def initial_foot_offsets(gait: Sequence[Sequence[int]], step: Step, forward: Float[Array, " 3"]) -> Float[Array, "6 3"]:
+def initial_foot_offsets(
+    gait: Sequence[Sequence[int]], step: GaitStep, forward: Float[Array, " 3"]
+) -> Float[Array, "6 3"]:
     """Return the feet at the start relative to the centres of their cycles (m, (6, 3)); the first to swing is rearmost.
 
     A leg that swings at turns p, p' of n lands ahead of its centre by half of what the body covers during its stance,
@@ -89,7 +93,7 @@ def _half_stance(gait: Sequence[Sequence[int]], leg: int) -> float:
 
 def regular_steps(
     gait: Sequence[Sequence[int]],
-    step: Step,
+    step: GaitStep,
     start: Stance,
     centres: Array,
     forward: Array,

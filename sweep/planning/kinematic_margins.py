@@ -8,24 +8,24 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers.frames import stance_to_world, to_world
 from sweep.controllers.layers import HeldLegs
-from sweep.controllers.plan import Plan, reference_stance, stage_start
+from sweep.controllers.plan import Plan, reference_stance, stage_start_pose
 from sweep.core.rotations import matrix, rotate, wrap_angle
 from sweep.formulas import leg, stepping
 from sweep.models import solids
 from sweep.models.case import Case
 from sweep.models.geometry import (
     EDGE_SEARCH_RADIUS_M,
-    base_gap,
     edge_distance,
-    fold_gap,
-    leg_gap,
+    gap_between_legs,
+    leg_base_gap,
     link_capsules,
-    shin_slopes,
+    shin_slope_sines,
     support_margin,
+    thigh_shin_gap,
 )
 from sweep.models.obstacles.surface import BodyPoses, body_poses, free_start_state, surface_at
 from sweep.models.posture import Stance, feet_in_hip_axes, feet_in_world, joint_targets, leg_points, mass_centre
-from sweep.models.robot import half_size
+from sweep.models.robot import base_half_size
 from sweep.planning import forces
 from sweep.planning.force_reserve import force_reserve
 
@@ -36,7 +36,7 @@ MID_SWING = 0.05  # m from both ends of a swing; farther along, the foot must be
 RATE_INTERVAL = 0.02  # share of a stage over which joint rates are differenced
 
 
-class Margins(NamedTuple):
+class PoseMargins(NamedTuple):
     """Margins of a pose; negative where a requirement is violated."""
 
     base: Float[Array, "*b"]  # m, distance from the base to the obstacle
@@ -54,7 +54,7 @@ class Margins(NamedTuple):
     support: Float[Array, "*b"]  # m, of the mass centre inside the support polygon; infinite unless all faces are level
 
 
-def planned_margins(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) -> Margins:
+def planned_margins(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) -> PoseMargins:
     """Return the margins of a plan at one phase of a stage, with free bodies at their start.
 
     Args:
@@ -67,15 +67,15 @@ def planned_margins(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Arra
     stance, joints, shortfall = planned_stance(case, plan, stage, u)
     starts, goal = (
         to_world(feet, plan.foot_frame[stage], free)
-        for feet in (stage_start(plan, stage, free)[0], plan.foothold[stage])
+        for feet in (stage_start_pose(plan, stage, free)[0], plan.foothold[stage])
     )
     _, later, _ = planned_stance(case, plan, stage, u + jnp.where(u > 0.5, -RATE_INTERVAL, RATE_INTERVAL))
     rates = wrap_angle(later - joints) / (RATE_INTERVAL * plan.duration[stage])
-    goes = Swing(plan.swing[stage], starts, goal)
+    goes = SwingFeet(plan.swing[stage], starts, goal)
     return stance_margins(case, body_poses(free), stance, joints, rates, shortfall, goes)
 
 
-class Swing(NamedTuple):
+class SwingFeet(NamedTuple):
     """Feet that swing in a stage, with their lift-off and touchdown points (m, world axes)."""
 
     swings: Bool[Array, " 6"]
@@ -90,8 +90,8 @@ def stance_margins(
     joints: Float[Array, "6 3"],
     rates: Float[Array, "6 3"],
     shortfall: Array,
-    swing: Swing,
-) -> Margins:
+    swing: SwingFeet,
+) -> PoseMargins:
     """Return the margins of one stance.
 
     Args:
@@ -105,7 +105,7 @@ def stance_margins(
     """
     robot, obstacle = case.robot, case.obstacle
     solid = obstacle.solids(bodies)
-    base = stance.position, matrix(stance.quat), half_size(robot)
+    base = stance.position, matrix(stance.quat), base_half_size(robot)
     points = leg_points(robot, joints)
     legs = stance.position + rotate(stance.quat[None, None], points)
     foot = legs[:, -1]
@@ -118,13 +118,13 @@ def stance_margins(
     inside = edge_distance(obstacle, swing.starts, bodies)
     level = jnp.all(swing.swings | (faces.normal[:, 2] > MIN_LEVEL_NORMAL))
     centre = stance.position + rotate(stance.quat, mass_centre(robot, joints))
-    return Margins(
+    return PoseMargins(
         base=solids.distance_to_box(solid, *base),
         links=jnp.min(link_capsules(legs, robot).distance_to(solid)),
-        shin=jnp.min(jnp.where(swing.swings, jnp.inf, jnp.arcsin(shin_slopes(legs, faces.normal)))),
-        legs=leg_gap(legs) - 2 * robot.link_radius,
-        body=base_gap(legs, *base[:2], robot),
-        fold=fold_gap(legs, robot.fork_ratio * robot.shin + robot.link_radius) - 2 * robot.link_radius,
+        shin=jnp.min(jnp.where(swing.swings, jnp.inf, jnp.arcsin(shin_slope_sines(legs, faces.normal)))),
+        legs=gap_between_legs(legs) - 2 * robot.link_radius,
+        body=leg_base_gap(legs, *base[:2], robot),
+        fold=thigh_shin_gap(legs, robot.fork_ratio * robot.shin + robot.link_radius) - 2 * robot.link_radius,
         outer=jnp.min(leg.SIDE_BY_LEG * feet_in_hip_axes(robot, stance)[:, 1]),
         reach=jnp.min(reach),
         swing=jnp.min(above),
@@ -135,7 +135,7 @@ def stance_margins(
 
 
 def planned_force_reserve(
-    case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], bounds: forces.Bounds
+    case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], bounds: forces.ForceBounds
 ) -> Array:
     """Return the force reserve of a plan at one phase of a stage, as a share of the weight.
 
@@ -178,14 +178,16 @@ def planned_stance(
         The stance (world axes), its joint angles (6, 3), rad, and the shortfall of each foot (6,), m.
     """
     robot, free = case.robot, free_start_state(case.obstacle)
-    stance = reference_stance(plan, stage, u, *stage_start(plan, stage, free))
+    stance = reference_stance(plan, stage, u, *stage_start_pose(plan, stage, free))
     stance = stance_to_world(stance, plan.foot_frame[stage], plan.base_frame[stage], free)
     joints, shortfall = joint_targets(robot, stance)
-    legs = plan.layer(HeldLegs)
+    legs = plan.find_layer(HeldLegs)
     if legs is None:
         return stance, joints, shortfall
     before = jnp.maximum(stage - 1, 0)
-    origin, _ = joint_targets(robot, reference_stance(plan, before, jnp.ones(()), *stage_start(plan, before, free)))
+    origin, _ = joint_targets(
+        robot, reference_stance(plan, before, jnp.ones(()), *stage_start_pose(plan, before, free))
+    )
     origin = jnp.where(legs.held[before][:, None], legs.joints[before], origin)
     held = legs.held[stage]
     change = stepping.trapezoidal_transfer(u, 0.0, 1.0)[0] * (legs.joints[stage] - origin)

@@ -16,7 +16,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from sweep.controllers.frames import to_frame, to_world
-from sweep.controllers.plan import CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE, SMOOTH, STEADY, Stage, Support
+from sweep.controllers.plan import CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE, SMOOTH, STEADY, Stage, SupportMotion
 from sweep.core.errors import InputError, require_choice, suggest
 from sweep.formulas.leg import SIDE_BY_LEG
 from sweep.models.case import Case
@@ -115,11 +115,11 @@ class MoveContext:
     # charts of the manoeuvre, besides those of the obstacle
     extra_charts: Mapping[str, Chart] = field(default_factory=dict)
     # by name, the reference motion of every free body
-    supports: Mapping[str, tuple[Support, ...]] = field(default_factory=lambda: {"free": ()})
+    supports: Mapping[str, tuple[SupportMotion, ...]] = field(default_factory=lambda: {"free": ()})
     laws: tuple[str, ...] = ()  # names of laws that moves may use
     stage: Mapping[str, Any] = field(default_factory=dict)  # further fields of all stages
 
-    def foot(self, leg: int, place: Place, where: str, depth: Number | None = None) -> Footing:
+    def foothold_at(self, leg: int, place: Place, where: str, depth: Number | None = None) -> Footing:
         """Return the foothold of a leg at a place of the plan file.
 
         Args:
@@ -131,7 +131,7 @@ class MoveContext:
         Raises:
             InputError: the chart is unknown, or has other coordinates.
         """
-        name, chart, numbers = self.chart(place, where)
+        name, chart, numbers = self.chart_and_coordinates(place, where)
         if not len(chart.names) - chart.optional_count <= len(numbers) <= len(chart.names):
             raise InputError(f"{where} = {_plain(numbers)} is not allowed: [{', '.join(chart.names)}]")
         deep = self.depths.get(name, 0.0) if depth is None else depth
@@ -139,7 +139,7 @@ class MoveContext:
         point = chart.at(self.belief.obstacle, float(SIDE_BY_LEG[leg - 1]), self.unit, deep, *numbers)
         return Footing(point, chart.frame, stands, place)
 
-    def base(self, place: Place, where: str) -> tuple[Float[Array, " 3"], Number | None, Chart]:
+    def base_pose_at(self, place: Place, where: str) -> tuple[Float[Array, " 3"], Number | None, Chart]:
         """Return the base's centre (m) at a place, its pitch (rad) if the place gives one, and its chart.
 
         Args:
@@ -149,7 +149,7 @@ class MoveContext:
         Raises:
             InputError: the chart is unknown, or has other coordinates.
         """
-        _, chart, numbers = self.chart(place, where)
+        _, chart, numbers = self.chart_and_coordinates(place, where)
         names, count = chart.base_names(), len(chart.names)
         if not (count - chart.optional_count <= len(numbers) <= len(names)):
             raise InputError(f"{where} = {_plain(numbers)} is not allowed: [{', '.join(names)}]")
@@ -159,7 +159,7 @@ class MoveContext:
             return point, chart.pitch(obstacle, self.unit, *numbers), chart
         return point, jnp.radians(jnp.asarray(pitch[0], float)) if pitch else None, chart
 
-    def chart(self, place: Place, where: str) -> tuple[str, Chart, Numbers]:
+    def chart_and_coordinates(self, place: Place, where: str) -> tuple[str, Chart, Numbers]:
         """Return the name of a place's chart, the chart, and the place's coordinates in it.
 
         Args:
@@ -179,15 +179,17 @@ class MoveContext:
         return name, offered[name], numbers
 
     @property
-    def left(self) -> Float[np.ndarray, " 3"]:
+    def left_direction(self) -> Float[np.ndarray, " 3"]:
         """Unit vector (world axes) to the left of the robot."""
         x, y = self.belief.obstacle.forward
         return np.array([-y, x, 0.0])
 
-    def vector(self, leg: int, numbers: Numbers) -> Float[Array, " 3"]:
+    def to_world_vector(self, leg: int, numbers: Numbers) -> Float[Array, " 3"]:
         """Return a vector (world axes) from its components outward from the leg's side, ahead and up."""
         out, ahead, up = (jnp.asarray(number, float) for number in numbers)
-        level = float(SIDE_BY_LEG[leg - 1]) * out * self.left + ahead * np.array([*self.belief.obstacle.forward, 0.0])
+        level = float(SIDE_BY_LEG[leg - 1]) * out * self.left_direction + ahead * np.array(
+            [*self.belief.obstacle.forward, 0.0]
+        )
         return level + up * np.array([0.0, 0.0, 1.0])
 
 
@@ -205,9 +207,9 @@ def initial_stance(part: str, context: MoveContext) -> tuple[Float[Array, "6 3"]
         InputError: the part does not place the base and all feet.
     """
     _, move = placing_move(context.belief, part)
-    feet = {leg: context.foot(leg, place or {}, f"{move.path}.{group}", move.depth)
+    feet = {leg: context.foothold_at(leg, place or {}, f"{move.path}.{group}", move.depth)
             for group, place in move.feet.items() for leg in LEG_GROUPS[group]}  # fmt: skip
-    position, pitch, chart = context.base(move.base, f"{move.path}.base")
+    position, pitch, chart = context.base_pose_at(move.base, f"{move.path}.base")
     standing = StandingState(feet, 0.0 if pitch is None else pitch, chart.frame)
     world = jnp.stack([foot_in_frame(context.belief, feet[leg], WORLD_FRAME) for leg in LEGS])
     return world, foot_in_frame(context.belief, Footing(position, chart.frame), WORLD_FRAME), standing
@@ -266,11 +268,13 @@ def _move_stage(name: str, move: Move, context: MoveContext, standing: StandingS
                 raise InputError(
                     f"{where} is not allowed without a place: no chart gives the place where this foot stands"
                 )
-            feet[leg] = context.foot(leg, place, where)
+            feet[leg] = context.foothold_at(leg, place, where)
             frames[leg] = feet[leg].frame
-            swing[leg] = feet[leg].point if move.depth is None else context.foot(leg, place, where, move.depth).point
+            swing[leg] = (
+                feet[leg].point if move.depth is None else context.foothold_at(leg, place, where, move.depth).point
+            )
             if move.leave and move.land:
-                offsets = (context.unit * context.vector(leg, numbers) for numbers in (move.leave, move.land))
+                offsets = (context.unit * context.to_world_vector(leg, numbers) for numbers in (move.leave, move.land))
                 starts = foot_in_frame(context.belief, old_footing, frames[leg]), feet[leg].point
                 guides[leg] = jnp.stack([start + offset for start, offset in zip(starts, offsets, strict=True)])
     require_choice(move.support, context.supports, f"{move.path}.support = {move.support}")
@@ -279,7 +283,8 @@ def _move_stage(name: str, move: Move, context: MoveContext, standing: StandingS
     stage = Stage(
         name, move.time * context.time if move.seconds is None else move.seconds, swing,
         CYCLES[move.swing], move.lift * context.lift,
-        (0.0, 0.0, 1.0) if move.plane is None else jnp.stack([context.vector(leg, move.plane) for leg in LEGS]),
+        ((0.0, 0.0, 1.0) if move.plane is None
+         else jnp.stack([context.to_world_vector(leg, move.plane) for leg in LEGS])),
         carry=move.carry, guides=guides, foot_frames=tuple(frames[leg] for leg in LEGS), base_frame=standing.frame,
         support=context.supports[move.support], law=move.law, **context.stage,
     )  # fmt: skip
@@ -288,15 +293,15 @@ def _move_stage(name: str, move: Move, context: MoveContext, standing: StandingS
     stage = replace(stage, pace=pace, rates=tuple(move.rates) if move.rates else rates, press=press)
     if not move.base:
         return stage, standing._replace(feet=feet)
-    position, pitch, chart = context.base(move.base, f"{move.path}.base")
+    position, pitch, chart = context.base_pose_at(move.base, f"{move.path}.base")
     turn = None if pitch is None else jnp.asarray(standing.pitch - pitch, float)
     pivot, arc = None, jnp.radians(jnp.asarray(move.arc, float))
     if move.pivot:
-        pivot = context.base({next(iter(move.base)): move.pivot}, f"{move.path}.pivot")[0]
+        pivot = context.base_pose_at({next(iter(move.base)): move.pivot}, f"{move.path}.pivot")[0]
     elif chart.pivot and turn is not None:
         pivot, arc = chart.pivot(context.belief.obstacle, context.unit, *next(iter(move.base.values()))), jnp.abs(turn)
     stage = replace(
-        stage, position=position, turn=None if turn is None else turn * context.left, pivot=pivot, arc=arc,
+        stage, position=position, turn=None if turn is None else turn * context.left_direction, pivot=pivot, arc=arc,
         base_frame=chart.frame,
     )  # fmt: skip
     return stage, StandingState(feet, standing.pitch if pitch is None else pitch, chart.frame)

@@ -26,7 +26,7 @@ from sweep.core.parameters import check_value, quantity
 from sweep.models.legs import LEG_GROUPS
 from sweep.models.obstacles.charts import Chart
 from sweep.models.plan_numbers import INCREMENT_PREFIX
-from sweep.models.robot import leg_unit
+from sweep.models.robot import length_unit
 from sweep.models.solids import array_module
 
 GROUP = "plan"
@@ -163,7 +163,7 @@ def _slope_amounts(case: Any, content: Content) -> dict[str, Array]:
 def _evaluate_content(case: Any, content: Content, added: Mapping[str, Array], alone: str = "") -> Content:
     """Evaluate formulas of `content`, or of one part, and apply the case's changes and the amounts `added` by path."""
     changes, sizes, times = case.plan.changes, content.get(SIZES, {}), {}
-    names: dict[str, Any] = {"unit": leg_unit(case.robot)}
+    names: dict[str, Any] = {"unit": length_unit(case.robot)}
 
     def named(name: str) -> Any:
         if name not in names and name in sizes:

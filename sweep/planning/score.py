@@ -38,7 +38,7 @@ DEFAULT_AIMS = {
 }
 DEFAULT_SCALE = 0.01  # m, unit of the deficit of a margin
 SCALES = {"rate": 1.0, "hold": 0.01, "speed": 0.02}  # units of the deficits of other margins than lengths
-CAP_TOLERANCE = 0.1  # units of deficit that a margin may lose by `Score.cap_aims`
+CAP_TOLERANCE = 0.1  # units of deficit that a margin may lose by `PlanScore.cap_aims`
 MIN_PHASES, MAX_PHASE_INTERVAL = (
     11,
     0.05,
@@ -61,7 +61,7 @@ SETS_NDIM = 3  # axes of sets of numbers: set, draw, number
 MANOEUVRE = "manoeuvre"  # first word of paths outside the plan table
 
 
-class Aim(NamedTuple):
+class MarginAim(NamedTuple):
     """Least value that a margin should have in some stages."""
 
     margin: str
@@ -69,7 +69,7 @@ class Aim(NamedTuple):
     value: float
 
 
-class Score:
+class PlanScore:
     """Margins of a plan, and their deficits, as functions of its free numbers and of draws of the belief.
 
     The worst phases of every stage count. A plan on a ball is played by its tracker. Other plans are posed by inverse
@@ -93,7 +93,7 @@ class Score:
         self,
         case: Case,
         free: Sequence[str],
-        aims: Sequence[Aim],
+        aims: Sequence[MarginAim],
         patterns: Sequence[str],
         moments: Sequence[tuple[str, int]],
         hold: bool,
@@ -111,14 +111,14 @@ class Score:
         if hold and self._is_on_ball:
             raise InputError("--forces is not allowed: plans on a ball have no static contact forces")
         available = (
-            *kinematic_margins.Margins._fields,
+            *kinematic_margins.PoseMargins._fields,
             *(BALL_MARGINS if self._is_on_ball else ("hold",) if hold else ()),
         )
         for aim in aims:
             require_choice(aim.margin, available, f"--need: margin {aim.margin}")
         chosen = [k for k, name in enumerate(names) if name in judged and any(fnmatchcase(name, p) for p in patterns)]
         self.stages = [names[k] for k in chosen]
-        self.aims = [Aim(margin, "*", value) for margin, value in DEFAULT_AIMS.items()] + list(aims)
+        self.aims = [MarginAim(margin, "*", value) for margin, value in DEFAULT_AIMS.items()] + list(aims)
         self.case, self._free, self._width = case, tuple(free), width
         self._formulas = plan_table.formula_values(case)
         time = np.asarray(jax.jit(lambda: case.manoeuvre.plan(case).duration)(), float)
@@ -244,7 +244,7 @@ class Score:
     def _worst_margins(self, numbers: jax.Array, belief: Case) -> dict[str, jax.Array]:
         """Margins (phases, stages) of one draw at the worst phases of every stage, the worst first."""
         for path, value in zip(self._free, numbers, strict=True):
-            belief = with_value(belief, path, value, self._formulas)
+            belief = with_plan_number(belief, path, value, self._formulas)
         plan = belief.manoeuvre.plan(belief)
         return self._played_margins(belief, plan) if self._is_on_ball else self._posed_margins(belief, plan)
 
@@ -324,7 +324,7 @@ def _map_draws(function: Callable[..., Any], numbers: np.ndarray, draws: Case) -
         return jax.tree.map(lambda *x: np.concatenate(x)[:count], *pool.map(evaluate, parts))
 
 
-def with_value(case: Case, path: str, value: Any, formulas: Mapping[str, float]) -> Case:
+def with_plan_number(case: Case, path: str, value: Any, formulas: Mapping[str, float]) -> Case:
     """Return a case with another value of one number of its plan.
 
     Args:

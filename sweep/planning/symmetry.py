@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from sweep.controllers.frames import stance_to_world, to_frame, to_world
-from sweep.controllers.plan import Plan, stage_start
+from sweep.controllers.plan import Plan, stage_start_pose
 from sweep.core.rotations import exponential, multiply
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import FreeState, free_start_state, no_free_bodies
@@ -39,7 +39,7 @@ def reverse_in_time(plan: Plan, free: FreeState | None = None) -> Plan:
         free: state of the free bodies, which stay there; None: there are none.
     """
     free = no_free_bodies() if free is None else free
-    starts, position = jax.vmap(lambda stage: stage_start(plan, stage, free))(jnp.arange(len(plan.names)))
+    starts, position = jax.vmap(lambda stage: stage_start_pose(plan, stage, free))(jnp.arange(len(plan.names)))
     frame = jnp.concatenate([plan.foot_frame[:1], plan.foot_frame[:-1]])  # frames to go back to
     feet, guides = (
         _in_frames(points, plan.foot_frame, frame, free) for points in (starts[:, :, None], plan.curve.guides)

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.plan import Plan, stage_end_stances
 from sweep.core.errors import InputError
-from sweep.fused.numbers import evaluate_numbers
+from sweep.fused.numbers import evaluate_plain_numbers
 from sweep.models.case import Case
 from sweep.models.obstacles.surface import FreeState
 from sweep.models.posture import Stance, joint_targets
@@ -53,7 +53,7 @@ def require_within_reach(belief: Case, stances: Callable[[], Mapping[str, Stance
         many = jax.tree.map(lambda *leaves: jnp.stack(leaves), *named.values())
         return jax.vmap(lambda stance: joint_targets(belief.robot, stance)[1])(many)
 
-    lacks = evaluate_numbers(shortfalls)
+    lacks = evaluate_plain_numbers(shortfalls)
     if not lacks.max() <= 0:
         stage, foot = np.unravel_index(lacks.argmax(), lacks.shape)
         raise InputError(f"{prefix}foot {foot + 1} is {lacks.max():.3f} m out of reach {words[stage]}")

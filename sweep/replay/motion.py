@@ -94,8 +94,8 @@ def thin_motion(motion: dict[str, Any], every: int) -> dict[str, Any]:
     """
     frames, columns = motion["frames"], len(motion["scales"])
     content = decode_text(motion["states"])
-    states = decode_planes(content[: 2 * frames * columns], frames, np.dtype(np.int16))
-    small = decode_planes(content[2 * frames * columns :], frames, np.dtype(np.int8))
+    states = decode_byte_planes(content[: 2 * frames * columns], frames, np.dtype(np.int16))
+    small = decode_byte_planes(content[2 * frames * columns :], frames, np.dtype(np.int8))
     every = min(every, frames)
     chosen = slice(every - 1, None, every)
     return {
@@ -108,10 +108,10 @@ def thin_motion(motion: dict[str, Any], every: int) -> dict[str, Any]:
 
 def encode_states(states: np.ndarray, small: np.ndarray) -> str:
     """Encode two-byte and one-byte whole numbers, each (F, K), as text."""
-    return encode_text(encode_planes(states) + encode_planes(small))
+    return encode_text(encode_byte_planes(states) + encode_byte_planes(small))
 
 
-def encode_planes(values: np.ndarray) -> bytes:
+def encode_byte_planes(values: np.ndarray) -> bytes:
     """Encode whole numbers (F, K) as differences from row to row, column by column, low bytes before high bytes."""
     change = np.diff(values, axis=0, prepend=np.zeros_like(values[:1])).T  # wraps around, and back when it is summed
     size = values.dtype.itemsize
@@ -125,8 +125,8 @@ def encode_planes(values: np.ndarray) -> bytes:
     )
 
 
-def decode_planes(content: bytes, frames: int, kind: np.dtype) -> np.ndarray:
-    """Decode the whole numbers (frames, K) of the type `kind` from `encode_planes`."""
+def decode_byte_planes(content: bytes, frames: int, kind: np.dtype) -> np.ndarray:
+    """Decode the whole numbers (frames, K) of the type `kind` from `encode_byte_planes`."""
     size = kind.itemsize
     change = np.frombuffer(content, np.uint8).reshape(-1, size, frames).transpose(0, 2, 1)
     change = np.ascontiguousarray(change).view(f"<i{size}")[..., 0]
@@ -154,8 +154,8 @@ def describe_bodies(model: mujoco.MjModel, legs: int, way: np.ndarray | None = N
 
     Returns:
         `bodies`: index of the parent, position and quaternion in it, and joints, see `describe_joint`. `geoms`: body,
-        shape, size (of a mesh: vertices and faces; of a height field: see `describe_field`), position, quaternion,
-        colour, and whether it is the robot's.
+        shape, size (of a mesh: vertices and faces; of a height field: see `describe_height_field`), position,
+        quaternion, colour, and whether it is the robot's.
         `feet`: body and position of each foot. `hinges`: addresses of the `hinge_and_slide_joints` in `qpos`.
     """
     root = model.body_rootid[base_body_id(model)]
@@ -181,7 +181,7 @@ def describe_bodies(model: mujoco.MjModel, legs: int, way: np.ndarray | None = N
                 "pos": round_values(model.geom_pos[geom]),
                 "quat": round_values(model.geom_quat[geom]),
                 "colour": [round(255 * float(part)) for part in geom_color(model, geom)[:3]],
-                **describe_shape(model, geom, way),
+                **describe_geom_shape(model, geom, way),
             }
             for geom in drawn
         ],
@@ -213,7 +213,7 @@ def describe_joint(model: mujoco.MjModel, number: int) -> list[float]:
             return [address, *axis, *anchor, *([start] if start else [])]
 
 
-def describe_shape(model: mujoco.MjModel, geom: int, way: np.ndarray | None = None) -> dict[str, Any]:
+def describe_geom_shape(model: mujoco.MjModel, geom: int, way: np.ndarray | None = None) -> dict[str, Any]:
     """Describe shape and size of a geom; a geom that the page has no shape for is described by its convex hull.
 
     Args:
@@ -223,14 +223,14 @@ def describe_shape(model: mujoco.MjModel, geom: int, way: np.ndarray | None = No
     """
     kind = Kind(model.geom_type[geom])
     if kind == Kind.mjGEOM_HFIELD:
-        return {"shape": "field", **describe_field(model, geom, way)}
+        return {"shape": "field", **describe_height_field(model, geom, way)}
     if kind in SHAPES:
         return {"shape": SHAPES[kind], "size": round_values(model.geom_size[geom])}
     vertices, faces = geom_hull(model, geom)
     return {"shape": "mesh", "vertices": [round_values(v) for v in vertices], "faces": faces}
 
 
-def describe_field(model: mujoco.MjModel, geom: int, way: np.ndarray | None) -> dict[str, Any]:
+def describe_height_field(model: mujoco.MjModel, geom: int, way: np.ndarray | None) -> dict[str, Any]:
     """Describe a height field that does not move by coordinates and heights of its points.
 
     Args:

@@ -25,7 +25,7 @@ from sweep.formulas.mass_centre import ball_jacobian
 from sweep.manoeuvres.balancing.ball import stance_on_ball, stand_pose
 from sweep.manoeuvres.balancing.ball_turn import BallTurn
 from sweep.models import scene
-from sweep.models.frames import WORLD_FRAME, body_frame, koenig_frame
+from sweep.models.frames import WORLD_FRAME, body_frame_number, koenig_frame_number
 from sweep.models.obstacles.surface import FreeState
 from sweep.models.posture import Stance
 
@@ -44,7 +44,9 @@ def test_frames_go_with_their_bodies():
     free = FreeState(jnp.array([[1.0, 2.0, 0.8], [-3.0, 0.0, 0.5]]), turn, still, still)
     point, frames = (
         jnp.array([0.1, -0.2, 0.7]),
-        jnp.array([WORLD_FRAME, koenig_frame(0), body_frame(0), koenig_frame(1), body_frame(1)]),
+        jnp.array(
+            [WORLD_FRAME, koenig_frame_number(0), body_frame_number(0), koenig_frame_number(1), body_frame_number(1)]
+        ),
     )
     seen = to_world(jnp.stack([point] * 5), frames, free)
     np.testing.assert_allclose(seen[0], point, atol=1e-6)
@@ -53,7 +55,7 @@ def test_frames_go_with_their_bodies():
         np.testing.assert_allclose(seen[2 + 2 * k], rotate(turn[k], point) + free.position[k], atol=1e-6)
     np.testing.assert_allclose(to_frame(seen, frames, free), jnp.stack([point] * 5), atol=1e-6)
     quat = exponential(jnp.array([0.2, 0.1, 0.0]))
-    for frame, wanted in ((koenig_frame(1), quat), (body_frame(1), multiply(turn[1], quat))):
+    for frame, wanted in ((koenig_frame_number(1), quat), (body_frame_number(1), multiply(turn[1], quat))):
         frames = jnp.full(6, WORLD_FRAME), jnp.asarray(frame)
         there = stance_to_world(Stance(jnp.zeros((6, 3)), point, quat), *frames, free)
         np.testing.assert_allclose(there.quat, wanted, atol=1e-6)
@@ -120,10 +122,10 @@ def test_angular_momentum_is_that_of_the_simulation():
 def test_the_way_of_a_ball_goes_straight_on_and_round(radius):
     """To the left, to the right where the radius is negative."""
     turn, size = BallTurn(straight=1.5, radius=radius), abs(radius)
-    straight, on = turn.track(jnp.array([1.0, 0.02, 0.84])), []
+    straight, on = turn.path_point_at(jnp.array([1.0, 0.02, 0.84])), []
     for angle, out in ((0.5, 0.0), (2.0, 0.01)):
         ahead, aside = (size + out) * np.sin(angle), size - (size + out) * np.cos(angle)
-        on.append(turn.track(jnp.array([1.5 + ahead, np.sign(radius) * aside, 0.84])))
+        on.append(turn.path_point_at(jnp.array([1.5 + ahead, np.sign(radius) * aside, 0.84])))
     np.testing.assert_allclose(
         [straight.progress, straight.left_offset, straight.curvature], [1.0, 0.02, 0.0], atol=1e-6
     )

@@ -69,7 +69,7 @@ def test_held_legs_reach_their_footholds(plan, followed):
 
 def test_diagonal_steps_balance_over_the_standing_feet(plan):
     """While a pair swings, the line of the other two passes below the base's centre."""
-    balancing = np.flatnonzero(np.asarray(plan.layer(Flywheel).mode) == BALANCE)
+    balancing = np.flatnonzero(np.asarray(plan.find_layer(Flywheel).mode) == BALANCE)
     assert len(balancing) == CASE.manoeuvre.steps + 1
     for stage in balancing:
         a, b = np.asarray(plan.foothold[stage])[~np.asarray(plan.swing[stage]) & ~np.isin(np.arange(6), MIDDLE), :2]
@@ -80,7 +80,7 @@ def test_diagonal_steps_balance_over_the_standing_feet(plan):
 def order(mode: int, **seen):
     """What the flywheel is told in a stage of `mode`, by a level robot at rest but for what is `seen`."""
     plan = PLAN
-    stage = int(np.flatnonzero(np.asarray(plan.layer(Flywheel).mode) == mode)[0])
+    stage = int(np.flatnonzero(np.asarray(plan.find_layer(Flywheel).mode) == mode)[0])
     joints = jnp.zeros((6, 3)).at[:, 1].set(jnp.pi / 2).at[3, 2].set(jnp.pi)
     level = plan.position[stage] - rotate(plan.quat[stage], mass_centre(CASE.robot, joints)) * jnp.array([1.0, 0, 0])
     zero, nothing = jnp.zeros(3), jnp.zeros((6, 3))
@@ -88,7 +88,7 @@ def order(mode: int, **seen):
         level, plan.quat[stage], zero, zero, joints, nothing, nothing, jnp.ones(6, bool), no_free_bodies()
     )
     truth = truth._replace(**seen)
-    return jax.jit(plan.layer(Flywheel).servo_command, static_argnums=0)(
+    return jax.jit(plan.find_layer(Flywheel).servo_command, static_argnums=0)(
         CASE.robot, plan, jnp.int32(stage), truth
     ), truth
 

@@ -11,7 +11,7 @@ from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.core.rotations import matrix
 from sweep.models.case import Case
-from sweep.models.robot import leg_unit
+from sweep.models.robot import length_unit
 from sweep.planning import forces
 from sweep.planning.compile_plan import compile_plan
 
@@ -23,7 +23,7 @@ def case() -> Case:
 
 def plan_of(case: Case) -> Plan:
     """The whole way, without the forces and the rests that they need."""
-    return compile_plan(*case.manoeuvre.route(case), 0.5)
+    return compile_plan(*case.manoeuvre.route_stages(case), 0.5)
 
 
 @pytest.mark.parametrize(("share", "seed"), [(0.0, 0), (0.02, 101), (0.02, 102), (0.04, 103)])
@@ -74,7 +74,7 @@ def test_a_house_that_the_gallop_does_not_end_at_is_refused(case, height, told):
 def test_the_way_over_the_edge_needs_no_more_friction_than_the_climb(case):
     """The book's friction is 1.1; the climb needs 1.06."""
     plan = plan_of(case)
-    course = forces.plan_forces(case, plan, forces.Bounds(1.1, 0.85 * 380.0, 8.0), "friction")
+    course = forces.plan_forces(case, plan, forces.ForceBounds(1.1, 0.85 * 380.0, 8.0), "friction")
     needed, over = np.asarray(course.optimum.friction.max(axis=1)), np.char.startswith(plan.names, "roof.")
     assert float(course.optimum.imbalance.max()) < 0.01
     assert needed[over].max() <= needed[~over].max() < 1.07
@@ -84,6 +84,6 @@ def test_what_a_search_raises_a_formula_by_stays_raised():
     """Of the gallop's rise, which is made not a number where a house is too low."""
     case = compose(["scenario=corner_full"]).case
     lower = replace(case, plan=case.plan.with_increment("sizes.rise", -0.02).with_increment("sizes.rise", -0.01))
-    ends = [{stage.name: stage.position for stage in one.manoeuvre.route(one)[1]} for one in (case, lower)]
+    ends = [{stage.name: stage.position for stage in one.manoeuvre.route_stages(one)[1]} for one in (case, lower)]
     off = ends[1]["gallop2.up"] - ends[0]["gallop2.up"]
-    np.testing.assert_allclose(off, [0, 0, -0.03 * 0.75 * leg_unit(case.robot)], atol=1e-6)  # after 1.5 of 2 cycles
+    np.testing.assert_allclose(off, [0, 0, -0.03 * 0.75 * length_unit(case.robot)], atol=1e-6)  # after 1.5 of 2 cycles

@@ -21,14 +21,14 @@ from sweep.models.posture import Stance, joint_targets
 from sweep.models.robot import Robot
 from sweep.models.scene import compile_model
 from sweep.planning.force_reserve import force_reserve
-from sweep.planning.forces import Bounds, StaticPose, distribute_forces, joint_torque, static_pose
+from sweep.planning.forces import ForceBounds, ForcePlanningPose, distribute_forces, force_planning_pose, joint_torque
 
 ROBOT = Robot()
 UPRIGHT = (0.5**0.5, 0.0, -(0.5**0.5), 0.0)  # x_r up
 FACES = 48  # of the pyramid that takes the place of a cone: 0.2 % narrower or wider
 
 
-def standing(seed: int) -> StaticPose:
+def standing(seed: int) -> ForcePlanningPose:
     """On the floor, a corner or a pole, some feet in the air."""
     u = np.random.default_rng(seed).uniform
     along = np.repeat([-u(0.35, 0.6), u(-0.2, 0.2), u(0.35, 0.6)], 2) + u(-0.05, 0.05, 6)
@@ -50,10 +50,10 @@ def standing(seed: int) -> StaticPose:
         lifted = 2 * (seed // 3 % 4)
         stands[lifted : lifted + 2] = False  # from 6 on: none
     stance = Stance(*(jnp.asarray(x, float) for x in (feet, base, quat)))
-    return static_pose(ROBOT, stance, jnp.asarray(normal, float), jnp.asarray(stands))
+    return force_planning_pose(ROBOT, stance, jnp.asarray(normal, float), jnp.asarray(stands))
 
 
-def least_by_program(p: StaticPose, bounds: Bounds, least: str) -> float:
+def least_by_program(p: ForcePlanningPose, bounds: ForceBounds, least: str) -> float:
     """The same by a linear program over pyramids, for the friction by bisection; inf where nothing holds."""
     if least != "friction":
         return _program(p, bounds, least)
@@ -67,7 +67,7 @@ def least_by_program(p: StaticPose, bounds: Bounds, least: str) -> float:
     return high
 
 
-def _program(p: StaticPose, bounds: Bounds, least: str) -> float:
+def _program(p: ForcePlanningPose, bounds: ForceBounds, least: str) -> float:
     weight = float(p.weight)
     rows, right, balance = [], [], np.zeros((6, 19))
     angles = np.arange(FACES) * 2 * np.pi / FACES
@@ -101,7 +101,7 @@ def _program(p: StaticPose, bounds: Bounds, least: str) -> float:
 def test_forces_ask_for_hardly_more_than_a_linear_program_finds(least):
     """Within 4 %: the smooth centre's distance to the extreme, and the pyramid's to the cone."""
     poses = [standing(seed) for seed in range(12)]
-    bounds = Bounds(friction=1.2, torque=200.0, least_normal=2.0, most_normal=3000.0)
+    bounds = ForceBounds(friction=1.2, torque=200.0, least_normal=2.0, most_normal=3000.0)
     found = jax.jit(jax.vmap(lambda p: distribute_forces(p, bounds, least)))(
         jax.tree.map(lambda *x: jnp.stack(x), *poses)
     )
@@ -119,7 +119,7 @@ def test_forces_ask_for_hardly_more_than_a_linear_program_finds(least):
 def test_slack_buys_room_to_the_bounds_for_a_little_of_the_effort():
     """Feet bear more evenly on the whole, and friction stays in bounds."""
     poses = jax.tree.map(lambda *x: jnp.stack(x), *(standing(seed) for seed in range(12)))
-    bounds = Bounds(friction=1.2, torque=200.0, least_normal=2.0, most_normal=3000.0)
+    bounds = ForceBounds(friction=1.2, torque=200.0, least_normal=2.0, most_normal=3000.0)
     many = jax.jit(jax.vmap(lambda p, slack: distribute_forces(p, bounds._replace(slack=slack), "friction"), (0, None)))
     close, far = many(poses, 0.01), many(poses, 0.3)
     holds = np.asarray(close.imbalance) < OutcomeThresholds().imbalance_max
@@ -139,8 +139,8 @@ def test_on_level_ground_the_reserve_is_what_the_lightest_foot_bears_over_the_le
 
     def at(way):
         shifted = feet + jnp.array([0.0, 1.0, 0.0]) * way
-        stance = StaticPose(shifted, up, stands, jnp.zeros((6, 3, 3)), none, jnp.asarray(100.0))
-        return force_reserve(stance, Bounds(1.0, 50.0, 5.0))
+        stance = ForcePlanningPose(shifted, up, stands, jnp.zeros((6, 3, 3)), none, jnp.asarray(100.0))
+        return force_reserve(stance, ForceBounds(1.0, 50.0, 5.0))
 
     value, slope = jax.jit(jax.value_and_grad(at))(aside)
     assert value == pytest.approx((1 - aside / 0.4) / 4 - 0.05, abs=1e-3)
@@ -149,7 +149,7 @@ def test_on_level_ground_the_reserve_is_what_the_lightest_foot_bears_over_the_le
 
 def test_the_reserve_is_positive_where_forces_hold_and_has_the_slopes_of_small_changes():
     poses = jax.tree.map(lambda *x: jnp.stack(x), *(standing(seed) for seed in range(12)))
-    bounds = Bounds(friction=1.2, torque=200.0, least_normal=2.0)
+    bounds = ForceBounds(friction=1.2, torque=200.0, least_normal=2.0)
     found = jax.jit(jax.vmap(lambda p: distribute_forces(p, bounds, "friction")))(poses)
 
     def shifted(way, p):
@@ -163,20 +163,20 @@ def test_the_reserve_is_positive_where_forces_hold_and_has_the_slopes_of_small_c
     np.testing.assert_allclose(slope, (more - less) / 0.01, rtol=0.03, atol=0.01)
 
 
-def on_a_corner(psi: float, eps: float) -> StaticPose:
+def on_a_corner(psi: float, eps: float) -> ForcePlanningPose:
     """Four feet of monograph 2.1 on walls at 2 psi, the pairs 1 m apart, the mass centre eps m off."""
     feet = np.zeros((6, 3))
     feet[:4] = [[SIDE_BY_LEG[i] * 0.35, -eps, 0.5 if i < 2 else -0.5] for i in range(4)]
     normal = np.stack([SIDE_BY_LEG * np.cos(psi), np.full(6, np.sin(psi)), np.zeros(6)], -1)
     zero = jnp.zeros((6, 3))
     stands = jnp.asarray([True] * 4 + [False] * 2)
-    return StaticPose(
+    return ForcePlanningPose(
         jnp.asarray(feet, float), jnp.asarray(normal, float), stands, jnp.zeros((6, 3, 3)), zero, jnp.ones(())
     )
 
 
-LEAST_NORMAL = jax.jit(lambda p, k: distribute_forces(p, Bounds(k, 1.0, most_normal=20.0), "normal"))
-LEAST_FRICTION = jax.jit(lambda p, top: distribute_forces(p, Bounds(3.0, 1.0, most_normal=top), "friction"))
+LEAST_NORMAL = jax.jit(lambda p, k: distribute_forces(p, ForceBounds(k, 1.0, most_normal=20.0), "normal"))
+LEAST_FRICTION = jax.jit(lambda p, top: distribute_forces(p, ForceBounds(3.0, 1.0, most_normal=top), "friction"))
 
 
 @pytest.mark.parametrize(("psi", "eps", "k"), [(np.pi / 4, 0.4, 1.1), (np.pi / 4, 0.2, 1.3), (0.0, 0.3, 0.6)])
@@ -195,8 +195,8 @@ def test_joint_torques_are_those_of_the_full_model(legs):
     case = Case(robot, Drive(), Contact(), Plane(), Stand(), Noise(), ExecutionFaults())
     feet = np.stack([np.repeat([-0.5, 0.1, 0.55], 2), SIDE_BY_LEG * 0.6, np.zeros(6)], -1)
     stance = Stance(*(jnp.asarray(x, float) for x in (feet, [0.02, -0.01, 0.45], (1.0, 0.0, 0.0, 0.0))))
-    p = static_pose(robot, stance, jnp.tile(jnp.array([0.0, 0, 1]), (6, 1)), jnp.ones(6, bool))
-    planned = distribute_forces(p, Bounds(1.0, 100.0), "torque")
+    p = force_planning_pose(robot, stance, jnp.tile(jnp.array([0.0, 0, 1]), (6, 1)), jnp.ones(6, bool))
+    planned = distribute_forces(p, ForceBounds(1.0, 100.0), "torque")
 
     model = compile_model(case, geoms=False)
     data = mujoco.MjData(model)

@@ -7,9 +7,9 @@ import pytest
 from sweep.controllers.plan import CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE, swing_progress
 from sweep.models.posture import Stance
 from sweep.planning.compile_plan import compile_plan
-from sweep.planning.gaits import GAITS, Step, body_advance, initial_foot_offsets, regular_steps
+from sweep.planning.gaits import GAITS, GaitStep, body_advance, initial_foot_offsets, regular_steps
 
-STEP = Step(0.105, 0.03, 1.2)
+STEP = GaitStep(0.105, 0.03, 1.2)
 CENTRES = jnp.asarray(np.random.default_rng(0).normal(size=(6, 3))).at[:, 2].set(0)
 FORWARD = jnp.array([1.0, 0.0, 0.0])
 
@@ -45,8 +45,8 @@ def test_speed_is_v_o(name, k_prime):
     """v_o = k' x*/t*: gallop half as fast as tripod; (1.3.2)."""
     _, plan = plan_of(name)
     speed = float(plan.position[-1, 0] / plan.duration.sum())
-    assert speed == pytest.approx(k_prime * STEP.landing / STEP.time, rel=1e-5)
-    assert body_advance(GAITS[name], STEP) == pytest.approx(k_prime * STEP.landing)
+    assert speed == pytest.approx(k_prime * STEP.half_swing_length / STEP.time, rel=1e-5)
+    assert body_advance(GAITS[name], STEP) == pytest.approx(k_prime * STEP.half_swing_length)
 
 
 @pytest.mark.parametrize("name", ["tripod", "gallop", "level_gallop"])
@@ -58,7 +58,7 @@ def test_feet_swing_from_minus_to_plus_x_star(name):
     for k in range(len(plan.duration)):
         for leg in gait[k % len(gait)]:
             before, after = (feet[i, leg - 1] - position[i] - CENTRES[leg - 1] for i in (k, k + 1))
-            np.testing.assert_allclose([-before[0], after[0]], float(STEP.landing), atol=1e-6)
+            np.testing.assert_allclose([-before[0], after[0]], float(STEP.half_swing_length), atol=1e-6)
 
 
 @pytest.mark.parametrize("cycle", [CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE])

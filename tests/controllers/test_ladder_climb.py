@@ -7,10 +7,10 @@ import pytest
 
 from sweep.config.experiment import compose
 from sweep.controllers.frames import stance_to_world
-from sweep.controllers.plan import Plan, stage_start
+from sweep.controllers.plan import Plan, stage_start_pose
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, matrix, multiply
-from sweep.models.frames import WORLD_FRAME, body_frame
+from sweep.models.frames import WORLD_FRAME, body_frame_number
 from sweep.models.obstacles.surface import body_poses
 from sweep.models.posture import Stance
 from sweep.planning.kinematic_margins import planned_margins
@@ -22,7 +22,7 @@ FREE = CASE.obstacle.start()
 
 @pytest.fixture(scope="module")
 def plan() -> Plan:
-    return jax.jit(lambda: CASE.manoeuvre.route(CASE))()
+    return jax.jit(lambda: CASE.manoeuvre.plan_without_forces(CASE))()
 
 
 @jax.jit
@@ -31,7 +31,7 @@ def ends(plan: Plan) -> tuple[Stance, Stance]:
 
     def one(k):
         last = Stance(plan.foothold[k], plan.position[k], multiply(exponential(plan.turn[k]), plan.quat[k]))
-        both = Stance(*stage_start(plan, k, FREE), plan.quat[k]), last
+        both = Stance(*stage_start_pose(plan, k, FREE), plan.quat[k]), last
         first, last = (stance_to_world(each, plan.foot_frame[k], plan.base_frame[k], FREE) for each in both)
         return first, last
 
@@ -46,7 +46,7 @@ def same(one: Stance, other: Stance):
 
 def test_stages_fit_together_where_frames_change(plan):
     """From the world's frame to the ladder's and back: what one stage ends with, the next begins with."""
-    assert {WORLD_FRAME, body_frame(0)} == set(np.unique(plan.foot_frame)) == set(np.unique(plan.base_frame))
+    assert {WORLD_FRAME, body_frame_number(0)} == set(np.unique(plan.foot_frame)) == set(np.unique(plan.base_frame))
     first, last = ends(plan)
     same(Stance(*(x[1:] for x in first)), Stance(*(x[:-1] for x in last)))
     same(Stance(*(x[0] for x in first)), plan.start)
@@ -68,7 +68,9 @@ def test_up_and_down_feet_go_to_where_they_stand_in_its_frame(plan):
         )
         swing = np.asarray(way.swing)
         assert set(np.asarray(body[swing])) == {-1, 0}
-        np.testing.assert_array_equal(way.foot_frame[swing], np.where(body[swing] == 0, body_frame(0), WORLD_FRAME))
+        np.testing.assert_array_equal(
+            way.foot_frame[swing], np.where(body[swing] == 0, body_frame_number(0), WORLD_FRAME)
+        )
     twice = reverse_in_time(way, FREE)
     np.testing.assert_array_equal(twice.foot_frame, plan.foot_frame)
     np.testing.assert_allclose(twice.curve.guides[plan.curve.guided], plan.curve.guides[plan.curve.guided], atol=1e-5)

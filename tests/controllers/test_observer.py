@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sweep.controllers.observation import BodyObserver, filter_body_pose
+from sweep.controllers.observation import FreeBodyFilterState, filter_body_pose
 from sweep.core.rotations import conjugate, exponential, logarithm, multiply
 from sweep.models.obstacles.surface import FreeState
 
@@ -18,10 +18,10 @@ def rolling(k: jax.Array | int) -> FreeState:
 
 
 @jax.jit
-def errors(start: BodyObserver, shaken: jax.Array) -> jax.Array:
+def errors(start: FreeBodyFilterState, shaken: jax.Array) -> jax.Array:
     """Of observed place (m) and attitude (rad), one row per tick, the attitude seen wrongly by `shaken` (rad)."""
 
-    def tick(observer: BodyObserver, now: tuple) -> tuple[BodyObserver, jax.Array]:
+    def tick(observer: FreeBodyFilterState, now: tuple) -> tuple[FreeBodyFilterState, jax.Array]:
         k, shake = now
         true = rolling(k)
         observer = filter_body_pose(observer, true._replace(quat=multiply(exponential(shake), true.quat)), TIME, PERIOD)
@@ -32,14 +32,14 @@ def errors(start: BodyObserver, shaken: jax.Array) -> jax.Array:
 
 
 def test_no_time_takes_the_measured_poses():
-    seen = filter_body_pose(BodyObserver(rolling(0), rolling(0)), rolling(50), 0.0, PERIOD).second
+    seen = filter_body_pose(FreeBodyFilterState(rolling(0), rolling(0)), rolling(50), 0.0, PERIOD).second
     np.testing.assert_allclose(seen.position, rolling(50).position, atol=1e-6)
     np.testing.assert_allclose(seen.quat, rolling(50).quat, atol=1e-6)
 
 
 def test_steady_motion_is_followed_without_lag():
     """A wrong start is forgotten; a plain low-pass would stay behind by speed times time, 20 mm and 15 mrad."""
-    off = errors(BodyObserver(rolling(100), rolling(100)), jnp.zeros((300, 3)))
+    off = errors(FreeBodyFilterState(rolling(100), rolling(100)), jnp.zeros((300, 3)))
     assert np.abs(off[0]).max() > 0.05
     np.testing.assert_allclose(off[-1], 0, atol=1e-5)
 
@@ -51,7 +51,10 @@ def test_noise_of_the_attitude_is_quietened():
     """
     size, share = 0.01, 2 * PERIOD / TIME
     shaken = size * np.random.default_rng(0).normal(size=(2200, 3))
-    off, keep = np.asarray(errors(BodyObserver(rolling(0), rolling(0)), jnp.asarray(shaken)))[200:, 3:], 1 - share
+    off, keep = (
+        np.asarray(errors(FreeBodyFilterState(rolling(0), rolling(0)), jnp.asarray(shaken)))[200:, 3:],
+        1 - share,
+    )
     expected = share * (1 + keep**2) / (1 + keep) ** 3, 2 * share**3 / (1 + keep) ** 3
     measured = off.std(), np.diff(off, axis=0).std()
     np.testing.assert_allclose(measured, size * np.sqrt(expected), rtol=0.1)
@@ -67,9 +70,9 @@ def test_rounding_does_not_turn_into_stretching():
     rest = FreeState(still, quat, still, still)
     shaken = jnp.asarray(1e-4 * np.random.default_rng(1).normal(size=(30_000, 64, 3)))  # rad/s
 
-    def tick(observer: BodyObserver, turn: jax.Array) -> tuple[BodyObserver, None]:
+    def tick(observer: FreeBodyFilterState, turn: jax.Array) -> tuple[FreeBodyFilterState, None]:
         return filter_body_pose(observer, rest._replace(turn=turn), TIME, PERIOD), None
 
-    seen = jax.jit(lambda start: jax.lax.scan(tick, start, shaken)[0])(BodyObserver(rest, rest)).second
+    seen = jax.jit(lambda start: jax.lax.scan(tick, start, shaken)[0])(FreeBodyFilterState(rest, rest)).second
     assert seen.quat.dtype == jnp.float32
     np.testing.assert_allclose(np.linalg.norm(np.asarray(seen.quat, float), axis=-1), 1, atol=5e-7)

@@ -15,7 +15,7 @@ from sweep.formulas.leg import SIDE_BY_LEG
 from sweep.formulas.stepping import LANDING_RATIO
 from sweep.models.case import Case
 from sweep.models.posture import Stance, joint_targets
-from sweep.models.robot import leg_unit
+from sweep.models.robot import length_unit
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.plan_table import evaluate_plan
 
@@ -144,7 +144,7 @@ def test_the_plan_follows_what_is_believed(case):
     last = plan.foothold[:, -1]
     grip = np.broadcast_to(cases.obstacle.radius[:, None] - 5e-3, last.shape[:2])
     np.testing.assert_allclose(np.hypot(last[..., 0], last[..., 1]), grip, atol=1e-12)
-    height = cases.robot.body_length / 2 + leg_unit(cases.robot) * (0.5 + 0.9 * LANDING_RATIO)
+    height = cases.robot.body_length / 2 + length_unit(cases.robot) * (0.5 + 0.9 * LANDING_RATIO)
     np.testing.assert_allclose(stances.position[:, -1, -1, 2], height, rtol=1e-12)
 
 

@@ -10,12 +10,23 @@ import pytest
 from sweep.config.experiment import compose
 from sweep.controllers import tracker
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import GRIP, KEPT, MEASURED, RESTS, STAYS, TO_POSE, TO_VELOCITY, TOGETHER, Stage, Support
+from sweep.controllers.plan import (
+    GRIP,
+    KEPT,
+    MEASURED,
+    RESTS,
+    STAYS,
+    TO_POSE,
+    TO_VELOCITY,
+    TOGETHER,
+    Stage,
+    SupportMotion,
+)
 from sweep.controllers.reference_body_motion import ReferenceBodyMotion, reference_motion
 from sweep.core.rotations import exponential, logarithm
 from sweep.manoeuvres.balancing.ball import stance_on_ball, stand_pose
 from sweep.models.case import Manoeuvre
-from sweep.models.frames import body_frame, koenig_frame
+from sweep.models.frames import body_frame_number, koenig_frame_number
 from sweep.models.obstacles.surface import FreeState, free_start_state
 from sweep.models.posture import Stance, joint_targets
 from sweep.planning.compile_plan import compile_plan
@@ -36,8 +47,8 @@ START, NOW = bodies([0.0, 3.0], [0.0, 0.5], [0.2, -0.2], [0.4, 0.4]), bodies([0.
 
 def moved(mode, clock, **goal):
     """Place along x and angle about y of both."""
-    many = [jnp.stack([jnp.asarray(getattr(Support(mode, **goal), name))] * 2) for name in Support._fields]
-    free = reference_motion(Support(*many), START, NOW, jnp.asarray(clock), jnp.asarray(TIME))
+    many = [jnp.stack([jnp.asarray(getattr(SupportMotion(mode, **goal), name))] * 2) for name in SupportMotion._fields]
+    free = reference_motion(SupportMotion(*many), START, NOW, jnp.asarray(clock), jnp.asarray(TIME))
     return np.asarray(free.position[:, 0]), np.asarray(logarithm(free.quat)[:, 1]), free
 
 
@@ -117,7 +128,11 @@ class Waits(Manoeuvre):
 def test_an_event_ends_a_stage_and_the_next_goes_on_from_there(standing):
     """The ball goes along x at 0.1 m/s, the base over it and rising; one foot is in the air."""
     stance, seen = standing
-    frames = {"foot_frames": (koenig_frame(0),) + (body_frame(0),) * 5, "base_frame": koenig_frame(0), "onset": GRIP}
+    frames = {
+        "foot_frames": (koenig_frame_number(0),) + (body_frame_number(0),) * 5,
+        "base_frame": koenig_frame_number(0),
+        "onset": GRIP,
+    }
     centre = seen.free.position[0]
     up, foot = stance.position - centre + jnp.array([0.0, 0.0, 0.2]), stance.feet[0] - centre
     stages = [Stage("wait", 4.0, {1: foot + jnp.array([0.0, 0.0, 0.2])}, position=up, support=(), **frames),

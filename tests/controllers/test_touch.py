@@ -11,8 +11,8 @@ import pytest
 from sweep.config.experiment import compose
 from sweep.controllers.frames import stance_to_world
 from sweep.controllers.layers import HeldLegs, Layer
-from sweep.controllers.observation import BodyObserver, Observation
-from sweep.controllers.plan import reference_stance, stage_start
+from sweep.controllers.observation import FreeBodyFilterState, Observation
+from sweep.controllers.plan import reference_stance, stage_start_pose
 from sweep.controllers.tracker import init
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
@@ -59,7 +59,7 @@ def on_pole(radius: float) -> tuple[int, Stance]:
     plan = planned()
     stage = plan.names.index("up.middle")
     stance = reference_stance(
-        plan, jnp.int32(stage), jnp.ones(()), *stage_start(plan, jnp.int32(stage), no_free_bodies())
+        plan, jnp.int32(stage), jnp.ones(()), *stage_start_pose(plan, jnp.int32(stage), no_free_bodies())
     )
     feet = stance.feet.at[:, :2].multiply(radius / jnp.linalg.norm(stance.feet[:, :2], axis=1)[:, None])
     return stage, stance._replace(feet=feet)
@@ -117,9 +117,9 @@ def test_a_foot_that_finds_a_height_lower_than_cautiously_planned_stands_as_deep
     higher = np.asarray(plan.foothold[stage] - case.manoeuvre.plan(case).foothold[stage])[:, 2]
     assert np.all(higher > 2e-3)
     stance = reference_stance(
-        plan, jnp.int32(stage), jnp.ones(()), *stage_start(plan, jnp.int32(stage), no_free_bodies())
+        plan, jnp.int32(stage), jnp.ones(()), *stage_start_pose(plan, jnp.int32(stage), no_free_bodies())
     )
-    now = seen(stance._replace(feet=stance.feet.at[:, 2].set(case.obstacle_as(Kerb).height)))
+    now = seen(stance._replace(feet=stance.feet.at[:, 2].set(case.obstacle_of_type(Kerb).height)))
     assert learned.touch is not None
     learned = learned._replace(touch=learned.touch._replace(has_landed=jnp.zeros(6, bool)))
     state = init(case, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
@@ -164,14 +164,14 @@ def test_a_leg_that_is_held_by_its_joints_does_not_search():
     plan = case.manoeuvre.plan(case)
     stage = plan.names.index("narrow.1-4-5.down")
     stance = reference_stance(
-        plan, jnp.int32(stage), jnp.ones(()), *stage_start(plan, jnp.int32(stage), no_free_bodies())
+        plan, jnp.int32(stage), jnp.ones(()), *stage_start_pose(plan, jnp.int32(stage), no_free_bodies())
     )
     state = init(case, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
     known = touch.init_touch(case.control, case.obstacle)._replace(has_landed=jnp.zeros(6, bool))
     ground = touch.planned_surface(known, plan, jnp.int32(stage))
     rest = plan, ground, state, known, seen(stance, loaded=False), PERIOD
     _, moves, searches = touch.touch_tick(case.control, case.noise, case.robot, *rest)
-    held = np.asarray(plan.layer(HeldLegs).held[stage])
+    held = np.asarray(plan.find_layer(HeldLegs).held[stage])
     assert held.sum() == 3
     np.testing.assert_array_equal(searches, ~held)
     np.testing.assert_array_equal(np.any(moves != 0, axis=1), ~held)
@@ -224,7 +224,7 @@ def test_what_a_sensor_shows_in_the_air_makes_no_foot_stand():
 
 
 def test_heights_are_planned_for_as_larger_until_a_foot_stands_there():
-    nothing, pole = untouched(), CASE.obstacle_as(PoleLedge)
+    nothing, pole = untouched(), CASE.obstacle_of_type(PoleLedge)
     more = CASE.control.caution * CASE.control.obstacle_error
     wary = touch.planning_obstacle(nothing)
     np.testing.assert_allclose(wary.height, pole.height * (1 + more), rtol=1e-6)
@@ -245,8 +245,8 @@ def test_heights_are_planned_for_as_larger_until_a_foot_stands_there():
 @pytest.mark.parametrize("scenario", ["ball_climb", "ball_to_ball", "ball_ledges"])
 def test_balls_tell_their_radius_by_how_high_they_lie(scenario):
     belief = compose([f"scenario={scenario}", "control.touch=obstacle"]).case
-    larger = 1.01 * belief.obstacle_as(Ball).radius
-    world = dataclasses.replace(belief, obstacle=dataclasses.replace(belief.obstacle_as(Ball), radius=larger))
+    larger = 1.01 * belief.obstacle_of_type(Ball).radius
+    world = dataclasses.replace(belief, obstacle=dataclasses.replace(belief.obstacle_of_type(Ball), radius=larger))
     for bias in (0.0, 0.01):
         key, noise = jax.random.key(3), Noise(body_position_bias=bias)
         seen = measure_body_positions(dataclasses.replace(world, noise=noise), key)
@@ -256,15 +256,15 @@ def test_balls_tell_their_radius_by_how_high_they_lie(scenario):
         deviation = float(np.sqrt(found.covariance[0, 0]))
         assert deviation > 0.5 * bias  # two balls tell as much twice
         np.testing.assert_allclose(sizes(found), [larger], atol=4 * deviation if bias else 1e-4)
-    before = dataclasses.replace(found.obstacle, radius=belief.obstacle_as(Ball).radius)
+    before = dataclasses.replace(found.obstacle, radius=belief.obstacle_of_type(Ball).radius)
     assert before == belief.obstacle
 
 
 def test_feet_on_the_rungs_of_a_ladder_that_leans_otherwise_tell_their_step():
     belief = compose(["scenario=ladder_climb", "control.touch=obstacle", "control.replan=touched"]).case
-    ladder = belief.obstacle_as(Ladder)
+    ladder = belief.obstacle_of_type(Ladder)
     other = dataclasses.replace(ladder, rung_step=1.01 * ladder.rung_step)
-    plan, true = (case.manoeuvre.route(case)
+    plan, true = (case.manoeuvre.plan_without_forces(case)
                   for case in (belief, dataclasses.replace(belief, obstacle=other)))  # fmt: skip
     stage = plan.names.index("climb.front4.load")  # front feet on rung 3, middle ones on 2
     leans = dataclasses.replace(other, lean=ladder.lean - 0.02).start()
@@ -275,7 +275,7 @@ def test_feet_on_the_rungs_of_a_ladder_that_leans_otherwise_tell_their_step():
     now = seen(stance_to_world(stance, true.foot_frame[stage], true.base_frame[stage], leans))._replace(free=told)
     known = touch.init_touch(belief.control, ladder)._replace(has_landed=jnp.zeros(6, bool))
     state = init(belief, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
-    state = state._replace(observer=BodyObserver(told, told))
+    state = state._replace(observer=FreeBodyFilterState(told, told))
     ground = touch.planned_surface(known, plan, jnp.int32(stage))
     rest = belief.noise, belief.robot, plan, ground
     found, moves, _ = touch.touch_tick(belief.control, *rest, state, known, now, 1.0)
@@ -290,7 +290,7 @@ def test_feet_on_the_rungs_of_a_ladder_that_leans_otherwise_tell_their_step():
 
 
 def test_what_is_left_of_the_way_is_planned_for_the_pole_that_was_found():
-    plan, found = planned(), dataclasses.replace(CASE.obstacle_as(PoleLedge), radius=0.43)
+    plan, found = planned(), dataclasses.replace(CASE.obstacle_of_type(PoleLedge), radius=0.43)
     other = dataclasses.replace(CASE, obstacle=found)
     stage = plan.names.index("on.front")
     touched = untouched()._replace(obstacle=found)

@@ -9,7 +9,7 @@ import pytest
 
 from sweep.config.experiment import compose
 from sweep.controllers import tracker
-from sweep.controllers.layers import CREEP_TIME, LONE_CREEP_FACTOR, Feedforward
+from sweep.controllers.layers import CREEP_TIME, LONE_CREEP_FACTOR, ForceFeedforward
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import REGRIP
 from sweep.core.rotations import exponential, logarithm, rotate
@@ -55,7 +55,7 @@ def pressed(plan, creep):
     """The plan with forces, none, that press feet down: those that hang by `creep` (m/s); footholds follow in 30 ms."""
     down = jnp.broadcast_to(jnp.array([0.0, 0.0, -1.0]), plan.foothold.shape)
     numbers = jnp.zeros((len(plan.names), 2, 6, 3)), jnp.zeros(len(plan.names)), down, jnp.array(creep), jnp.array(0.03)
-    return plan.with_layer(Feedforward(*numbers))
+    return plan.with_layer(ForceFeedforward(*numbers))
 
 
 def seen_at_start(plan, loaded):

@@ -9,7 +9,7 @@ import pytest
 
 from sweep.backends import program_cache
 from sweep.fused import driver
-from sweep.fused.arrays import Unsupported
+from sweep.fused.arrays import UnsupportedPrimitive
 
 CODE = bytes(range(256)) * 8  # no UTF-8, and zeros in it
 
@@ -100,6 +100,6 @@ def test_what_the_driver_links_is_its_machine_code_and_what_it_cannot_is_told(mo
     made_up = Driver()
     monkeypatch.setattr(driver, "_driver", lambda: made_up)
     assert driver.wait_for_kernel(driver.start_ptx_translation("ret;")) == (driver.kernel_key("ret;"), CODE)
-    with pytest.raises(Unsupported, match=r"cuLinkAddData_v2: error \(218\): line 1; error"):
+    with pytest.raises(UnsupportedPrimitive, match=r"cuLinkAddData_v2: error \(218\): line 1; error"):
         driver.wait_for_kernel(driver.start_ptx_translation("rat;"))
     assert made_up.contexts == []

@@ -10,7 +10,7 @@ from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
 from sweep.engines.mjx import MjxEngine
 from sweep.engines.native import NativeEngine
-from sweep.fused.arrays import Unsupported
+from sweep.fused.arrays import UnsupportedPrimitive
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def test_under_native_the_controller_is_that_of_xla_which_takes_what_has_no_rule
         return engine.run(world, exp.case, np.arange(3)), engine.fused
 
     def without(*_, **__):
-        raise Unsupported("sort")
+        raise UnsupportedPrimitive("sort")
 
     fused, by_itself = figures()
     monkeypatch.setattr("sweep.fused.kernel.start_compilation", without)

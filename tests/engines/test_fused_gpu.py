@@ -16,7 +16,7 @@ from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
 from sweep.engines.mjx import MjxEngine
 from sweep.fused import driver, launch
-from sweep.fused.arrays import Unsupported
+from sweep.fused.arrays import UnsupportedPrimitive
 
 WIDTH = launch.MIN_ROLLOUTS_PER_BLOCK
 HOW = pytest.mark.parametrize("few", [False, True], ids=["many", "few"])  # some parts without legs in lanes, or none
@@ -247,7 +247,7 @@ def test_branches_of_the_legs_that_depend_on_one_another_go_in_their_order(few):
 
 
 def test_what_a_gpu_has_no_rule_for_is_named():
-    with jax.enable_x64(True), pytest.raises(Unsupported, match="float64 on a GPU"):
+    with jax.enable_x64(True), pytest.raises(UnsupportedPrimitive, match="float64 on a GPU"):
         both(lambda x: {"x": 2 * x}, some(3).astype(jnp.float64))
 
 
@@ -301,7 +301,7 @@ def test_few_rollouts_begin_and_end_as_on_a_cpu_and_their_kernel_is_kept_beside_
         (world, belief, keys), programs, kept, _ = engine._prepare(exp.case, exp.case, np.arange(2), None, 1, None)
         plans, carry = programs.start(world, belief, keys)
         for _ in range(chunks):
-            carry, _ = programs.chunk(world, belief, plans, carry, 0, kept)
+            carry, _ = programs.simulate_chunk(world, belief, plans, carry, 0, kept)
         return programs.finish(world, plans, carry)
 
     handler = driver.make_xla_handler(

@@ -9,7 +9,7 @@ import numpy as np
 
 from sweep.backends import devices
 from sweep.engines import planning
-from sweep.engines.planning import Planning
+from sweep.engines.planning import CompiledPlanning
 from sweep.planning import forces
 
 FEET = jnp.array([[-0.5, 0.5], [0.0, 0.5], [0.5, 0.5], [-0.5, -0.5], [0.0, -0.5], [0.5, -0.5]])
@@ -21,8 +21,10 @@ def start(world, belief, key):
     arm = jnp.concatenate([FEET + 0.05 * draw, jnp.full((6, 1), -belief)], axis=1)
     normal = jnp.concatenate([jnp.zeros((6, 1)), -jnp.sign(FEET[:, 1:]), jnp.zeros((6, 1))], axis=1)
     stands, zero = jnp.arange(6) != 1, jnp.zeros((6, 3))
-    pose = forces.StaticPose(arm, normal, stands, jnp.broadcast_to(0.1 * jnp.eye(3), (6, 3, 3)), zero, jnp.array(600.0))
-    bounds = forces.Bounds(*(jnp.asarray(bound, float) for bound in forces.Bounds(world, 60.0, 5.0, 1e3)))
+    pose = forces.ForcePlanningPose(
+        arm, normal, stands, jnp.broadcast_to(0.1 * jnp.eye(3), (6, 3, 3)), zero, jnp.array(600.0)
+    )
+    bounds = forces.ForceBounds(*(jnp.asarray(bound, float) for bound in forces.ForceBounds(world, 60.0, 5.0, 1e3)))
     sought = jax.tree.map(lambda x: x[None], forces.ForceProblem(pose, bounds))
     found = forces.evaluate_forces(pose, forces.force_search("friction")(sought)[0])
     return found, {"draw": draw, "lowest": jnp.min(arm) * found.imbalance, "bound": world}
@@ -36,7 +38,7 @@ def begun(arrays):
     """What a batch starts with where all is the host's."""
     with ThreadPoolExecutor() as pool:
         form, parts = planning.start_compilation(pool, start, arrays, many, has_forces=True, use_numpy=True)
-        return form, Planning.from_programs(*parts())
+        return form, CompiledPlanning.from_programs(*parts())
 
 
 def test_forces_are_those_that_xla_finds():

@@ -22,7 +22,7 @@ from sweep.core.errors import InputError
 from sweep.engines import fused_loop
 from sweep.engines.mjx import MjxEngine
 from sweep.fused import driver
-from sweep.fused.arrays import Unsupported
+from sweep.fused.arrays import UnsupportedPrimitive
 from sweep.metrics.outcome import OutcomeThresholds
 
 CASE = compose(["scenario=walk_tripod"]).case
@@ -202,9 +202,9 @@ def test_what_has_no_rule_is_traced_once(folder, monkeypatch):
 
     def none(*_):
         traced.append(1)
-        raise Unsupported("sort")
+        raise UnsupportedPrimitive("sort")
 
-    monkeypatch.setattr(MjxEngine, "_compile", fused_loop.return_missing_rule(none))
+    monkeypatch.setattr(MjxEngine, "_compile", fused_loop.catch_missing_rule(none))
     for _ in range(2):
         engine = MjxEngine(EngineSettings(width=1, compiler="fused"), CASE, CASE)
         with pytest.raises(InputError, match="no rule for sort"):

@@ -71,7 +71,7 @@ def test_a_shin_meets_the_rung_that_its_foot_is_on():
     assert towards[2] < -0.3
     out = np.sign(towards[1])
     turn = np.array([[out, 0, 0], [0, 0, out], [0, -1, 0]])  # the ladder's rails are upright, its front faces the knee
-    top = [0.3, float(ladder.centre) - 3 * ladder.rung_step, ladder.rung_depth / 2 - 0.02]
+    top = [0.3, float(ladder.mass_centre_distance) - 3 * ladder.rung_step, ladder.rung_depth / 2 - 0.02]
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, turn.ravel())
     data.qpos[25:28], data.qpos[28:32] = foot - turn @ top, quat

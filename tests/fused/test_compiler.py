@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from sweep.fused import kernel, llvm
 from sweep.fused import program as fused_program
-from sweep.fused.arrays import Unsupported
+from sweep.fused.arrays import UnsupportedPrimitive
 from sweep.fused.program import Branch, Node, walk_block
 
 PAGE = Path(__file__).parents[2] / "docs/compiler.md"
@@ -362,7 +362,7 @@ def test_what_is_carried_keeps_its_shapes_or_is_refused():
 
 
 def test_what_has_no_rule_is_named():
-    with pytest.raises(Unsupported, match="sort"):
+    with pytest.raises(UnsupportedPrimitive, match="sort"):
         both(lambda x: {"x": jnp.sort(x)}, some(3))
 
 

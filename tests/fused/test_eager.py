@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sweep.fused import eager
-from sweep.fused.arrays import Unsupported
+from sweep.fused.arrays import UnsupportedPrimitive
 
 WIDTH = 37  # rollouts, no whole number of any processor's lanes
 TABLE = jnp.linspace(-2.0, 3.0, 7)
@@ -142,7 +142,7 @@ def test_what_is_set_apart_is_done_by_others():
     assert [(a.shape, a.dtype) for a in program.external_functions["dear"]] == [((4, 6), np.float32), ((), np.float32)]
     made = program(3, x, y, external={"dear": lambda rows, scale: np.sort(rows, axis=1) * scale})
     np.testing.assert_allclose(made, np.sort(x, axis=2) * 2 + y.sum(), rtol=1e-6)
-    with pytest.raises(Unsupported, match="sort"):
+    with pytest.raises(UnsupportedPrimitive, match="sort"):
         eager.trace(function, x[0], y)
 
 

@@ -11,13 +11,13 @@ from scipy.spatial import ConvexHull, QhullError
 
 from sweep.models.geometry import (
     EDGE_SEARCH_RADIUS_M,
-    base_gap,
     edge_distance,
-    leg_gap,
+    gap_between_legs,
+    leg_base_gap,
     link_capsules,
     segment_box_distance,
     segment_distance,
-    shin_slopes,
+    shin_slope_sines,
     support_margin,
 )
 from sweep.models.obstacles.kerb import Kerb
@@ -83,10 +83,10 @@ def test_segment_distance_of_special_positions(q, q_end, expected):
 def test_legs_that_cross_have_no_gap(one, other):
     """Six legs stand 1 m apart, two of them are laid across each other."""
     joints = np.array([[[leg, 0, 1], [leg, 0.1, 0.5], [leg, 0.2, 0]] for leg in range(6)], dtype=float)
-    assert float(leg_gap(jnp.asarray(joints))) == pytest.approx(1.0, abs=1e-5)
+    assert float(gap_between_legs(jnp.asarray(joints))) == pytest.approx(1.0, abs=1e-5)
     joints[one - 1] += [10, 0, 0]
     joints[other - 1] = [[9 + one, 0.1, 0.5], [8 + one, 0.1, 0.5], [8 + one, 0.2, 0.5]]
-    assert float(leg_gap(jnp.asarray(joints))) == pytest.approx(0.0, abs=1e-5)
+    assert float(gap_between_legs(jnp.asarray(joints))) == pytest.approx(0.0, abs=1e-5)
 
 
 @settings(max_examples=60, deadline=None)
@@ -109,7 +109,7 @@ def test_the_shin_is_thick_to_its_foot_and_then_a_pin():
     floor = HalfSpace(name="floor", normal=(0, 0, 1))
     np.testing.assert_allclose(found.distance_to([floor])[0], [0.585, FOOT_LENGTH, 0.013], atol=1e-6)
     base = jnp.zeros(3), jnp.eye(3), Robot(body_length=1.0, body_width=0.5, body_height=0.1)
-    assert float(base_gap(joints, *base)) == pytest.approx(0.15, abs=1e-3)  # the foot, beside the base
+    assert float(leg_base_gap(joints, *base)) == pytest.approx(0.15, abs=1e-3)  # the foot, beside the base
 
 
 @pytest.mark.parametrize("angle", [-0.66, 0.24])
@@ -121,7 +121,7 @@ def test_a_shin_goes_through_the_rung_that_its_foot_is_on_or_rises_over_it(angle
     joints = jnp.asarray([[knee + np.array([0, 0.1, 0.5]), knee, foot]] * 6, float)
     distance = float(jnp.min(link_capsules(joints, Robot()).distance_to([rung])))
     assert (distance < -0.005) == (angle < 0)  # -5 mm is what the judge allows
-    np.testing.assert_allclose(shin_slopes(joints, jnp.asarray([[0.0, 0.0, 1.0]] * 6)), np.sin(angle), atol=1e-6)
+    np.testing.assert_allclose(shin_slope_sines(joints, jnp.asarray([[0.0, 0.0, 1.0]] * 6)), np.sin(angle), atol=1e-6)
 
 
 def test_a_foot_on_a_kerb_is_as_far_from_the_edge_as_it_stands_from_it():

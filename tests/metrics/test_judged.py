@@ -14,7 +14,7 @@ from sweep.core.outcomes import GOAL_MISSED
 from sweep.metrics import attitude, clearance, depth, drives, free_bodies, rest, shins, slip, solver
 from sweep.metrics.outcome import threshold_value
 from sweep.metrics.tick import MetricTick, RolloutEnd, RolloutStart
-from sweep.models.geometry import base_gap, fold_gap
+from sweep.models.geometry import leg_base_gap, thigh_shin_gap
 from sweep.models.obstacles.surface import FreeState, body_poses, no_free_bodies
 from sweep.models.robot import total_mass
 
@@ -177,7 +177,7 @@ def test_a_shin_does_not_fold_into_its_thigh():
     """Beyond a knee's clearance c the two are 2 c sin(angle / 2) apart."""
     clear = CASE.robot.fork_ratio * CASE.robot.shin + CASE.robot.link_radius
     for angle in (0.1, 0.3, 1.0):
-        gap = float(fold_gap(jnp.asarray(folded(angle)), clear))
+        gap = float(thigh_shin_gap(jnp.asarray(folded(angle)), clear))
         assert gap == pytest.approx(2 * clear * np.sin(angle / 2), abs=2e-4)
     touching = 2 * np.arcsin((CASE.robot.link_radius - 0.0025) / clear)  # as deep as allowed
     for angle, met in ((touching + 0.02, False), (touching - 0.02, True)):
@@ -189,13 +189,13 @@ def test_a_thigh_does_not_go_through_the_base():
     base = jnp.zeros(3), jnp.eye(3), replace(CASE.robot, body_length=1.05, body_width=0.5, body_height=0.1)
     over = np.array([[0, 0.25, 0.0], [0, -0.02, 0.1], [0, 0.6, 0.5]])
     legs = np.tile(LEGS[5] - [0.525, 0, 0.525], (6, 1, 1))
-    free = float(base_gap(jnp.asarray(legs), *base))
+    free = float(leg_base_gap(jnp.asarray(legs), *base))
     assert free == pytest.approx(CASE.robot.hip_clearance + CASE.robot.link_radius, abs=2e-3)
     along = legs.copy()
     along[:, 1] = along[:, 0] + [0.3, 0.0, 0.0]  # along the side that its hip is on, which stands back by its radius
-    assert float(base_gap(jnp.asarray(along), *base)) == pytest.approx(0.0, abs=1e-3)
+    assert float(leg_base_gap(jnp.asarray(along), *base)) == pytest.approx(0.0, abs=1e-3)
     legs[2] = over
-    assert float(base_gap(jnp.asarray(legs), *base)) < -0.01
+    assert float(leg_base_gap(jnp.asarray(legs), *base)) < -0.01
     found = [judged(clearance, [moment(legs=legs, position=jnp.zeros(3))])[1] for legs in (along, legs)]
     assert [("base_hit" in met) for met in found] == [False, True]
 

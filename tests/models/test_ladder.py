@@ -26,7 +26,7 @@ def least_friction(ladder: Ladder) -> float:
 
     The edges that touch are on the side of the wall, half a rail's depth from the plane of the mass centre.
     """
-    arm = ladder.centre * np.cos(ladder.lean) - ladder.rail_depth / 2 * np.sin(ladder.lean)
+    arm = ladder.mass_centre_distance * np.cos(ladder.lean) - ladder.rail_depth / 2 * np.sin(ladder.lean)
     return float(arm / (ladder.length * np.sin(ladder.lean)))
 
 
@@ -114,7 +114,7 @@ def test_feet_feel_rungs_rails_wall_and_ledge(nominal):
     ladder = nominal.obstacle
     bodies = ladder.start_poses()
     own = np.array([[0.3, 0.0, 0.0], [ladder.width / 2 + 0.001, 0.5, 0.0]])
-    own[0, 1] = float(ladder.centre) - 3 * ladder.rung_step + 1e-3  # 1 mm under the third rung's top
+    own[0, 1] = float(ladder.mass_centre_distance) - 3 * ladder.rung_step + 1e-3  # 1 mm under the third rung's top
     others = [[0.0, -1e-3, 1.0], [0.0, -0.3, ladder.ledge_height - 1e-3], [0.0, 2.0, -1e-3]]
     on_it = np.asarray(bodies.position[0]) + own @ np.asarray(bodies.rotation[0]).T
     points = np.concatenate([on_it, others])
@@ -136,7 +136,7 @@ def test_believed_rungs_are_off_as_of_rails_that_are_seen_at_their_lower_ends():
     up = np.asarray(matrix(free.quat)[0]) @ [0, -1, 0]
 
     def rungs(ladder, at):
-        tops = np.arange(1, 6) * ladder.rung_step - float(ladder.centre)
+        tops = np.arange(1, 6) * ladder.rung_step - float(ladder.mass_centre_distance)
         return np.asarray(at.position[0]) + tops[:, None] * up
 
     off = (rungs(believed, seen) - rungs(true, free)) @ up

@@ -16,10 +16,10 @@ import pytest
 from sweep.backends import devices
 from sweep.config.experiment import compose
 from sweep.dynamics import interface, tree
-from sweep.dynamics.step import from_components, state_at_rest, step, to_components
+from sweep.dynamics.step import join_components, split_into_components, state_at_rest, step
 from sweep.engines import physics
 from sweep.engines.batch_last import batch_last_vmap
-from sweep.models.drive import position_mode
+from sweep.models.drive import position_command
 from sweep.models.obstacles import PoleLedge
 from sweep.models.scene import native_model
 
@@ -51,9 +51,9 @@ def largest_error(recorded, case, width: int, seconds: float) -> np.ndarray:
         return state_at_rest(top, jnp.asarray(recorded["q0"], jnp.float32).at[2].add(offset))
 
     def one(state, reference):
-        servo = position_mode(case.drive, reference)
-        return from_components(
-            step(tree.tree_dynamics(case), case, limits, to_components(state), servo, TICK / 2, 2)[0]
+        servo = position_command(case.drive, reference)
+        return join_components(
+            step(tree.tree_dynamics(case), case, limits, split_into_components(state), servo, TICK / 2, 2)[0]
         )
 
     batch = batch_last_vmap(one, (-1, None), devices.recomputation_cost_threshold())

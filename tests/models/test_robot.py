@@ -50,7 +50,7 @@ def swept(nominal: Case, rng: np.random.Generator) -> Case:
 _compiled = {}
 
 
-def smooth_batch(nominal: Case, case: Case, q: np.ndarray, v: np.ndarray) -> tuple[dynamics.Topology, Dense]:
+def smooth_batch(nominal: Case, case: Case, q: np.ndarray, v: np.ndarray) -> tuple[dynamics.ModelTopology, Dense]:
     """The smooth dynamics of a batch; robots with the same links share one compiled program, as sweeps do."""
     top = dynamics.topology(nominal)
     model = mjx.put_model(top.model)

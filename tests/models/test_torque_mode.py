@@ -10,10 +10,10 @@ from sweep.backends import devices
 from sweep.config.experiment import compose
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics import mjx as mjx_dynamics
-from sweep.dynamics.step import state_at_rest, step, to_components
+from sweep.dynamics.step import split_into_components, state_at_rest, step
 from sweep.engines import physics
 from sweep.engines.batch_last import batch_last_vmap
-from sweep.models.drive import Servo, position_mode
+from sweep.models.drive import ServoCommand, position_command
 from sweep.models.scene import native_model
 
 H = 1e-3
@@ -35,16 +35,16 @@ def one_step():
     limits = physics.execution_limits(CASE, jnp.int32(0), H)
 
     def run(torque):
-        moving, report = step(smooth, CASE, limits, to_components(state_at_rest(top, q)), _order(torque), H, 3)
+        moving, report = step(smooth, CASE, limits, split_into_components(state_at_rest(top, q)), _order(torque), H, 3)
         return report.torque[BETA_3[1]][BETA_3[0]], jnp.stack(moving.motion.leg, axis=-1)
 
     torques, rates = jax.jit(batch_last_vmap(run, (-1,), devices.recomputation_cost_threshold()))(jnp.array(TORQUES))
     return {torque: (np.asarray(torques)[k], np.asarray(rates)[..., k]) for k, torque in enumerate(TORQUES)}
 
 
-def _order(torque) -> Servo:
-    servo = position_mode(CASE.drive, jnp.asarray(ANGLES))
-    return Servo(
+def _order(torque) -> ServoCommand:
+    servo = position_command(CASE.drive, jnp.asarray(ANGLES))
+    return ServoCommand(
         servo.target,
         servo.stiffness.at[BETA_3].set(0.0),
         servo.damping.at[BETA_3].set(-CASE.drive.back_emf),

@@ -14,10 +14,10 @@ from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.core.parameters import parameters
 from sweep.dynamics import interface, tree
-from sweep.dynamics.step import from_components, state_at_rest, step, to_components
+from sweep.dynamics.step import join_components, split_into_components, state_at_rest, step
 from sweep.engines import physics
 from sweep.models import scene
-from sweep.models.drive import position_mode
+from sweep.models.drive import position_command
 
 ROBOTS = ("base", "three_link", "hexagon", "prototype")
 STATES, H, ENOUGH = 8, 2e-3, 10
@@ -90,9 +90,11 @@ def test_momentum_goes_where_forces_send_it(name):
 
         def one(q, v, target):
             start = state_at_rest(top, q)._replace(v=v)
-            servo = position_mode(case.drive, target)
-            moving, report = step(tree.tree_dynamics(case), case, limits, to_components(start), servo, H, ENOUGH)
-            return from_components(moving).v, report
+            servo = position_command(case.drive, target)
+            moving, report = step(
+                tree.tree_dynamics(case), case, limits, split_into_components(start), servo, H, ENOUGH
+            )
+            return join_components(moving).v, report
 
         with jax.disable_jit():  # to compile it takes longer than to run it
             after, report = jax.vmap(one)(*map(jnp.asarray, (q, 0.1 * v, targets)))

@@ -17,7 +17,7 @@ from sweep.controllers.reference_body_motion import ReferenceBodyMotion
 from sweep.core.errors import InputError
 from sweep.engines import make_engine
 from sweep.manoeuvres.balancing.ball import BallDrive
-from sweep.manoeuvres.balancing.ball_to_ball import BallDocking, Closing
+from sweep.manoeuvres.balancing.ball_to_ball import BallClosingLaw, BallDockingLaw
 from sweep.metrics.outcome import classify
 from sweep.models.frames import WORLD_FRAME
 from sweep.models.obstacles.surface import body_poses
@@ -60,7 +60,7 @@ def planned(**numbers):
     for path, value in numbers.items():
         case = replace(case, plan=case.plan.with_value(f"over.{path.replace('_', '.')}", value))
     plan = case.manoeuvre.plan(case)
-    last = stage_end_stances(plan, replace(case.obstacle_as(TwoBalls), gap=0.0).start())
+    last = stage_end_stances(plan, replace(case.obstacle_of_type(TwoBalls), gap=0.0).start())
     at = {name: Stance(*(x[k] for x in last)) for k, name in enumerate(plan.names) if name.startswith("over.")}
     return case, at
 
@@ -122,10 +122,10 @@ def test_no_step_is_begun_where_the_balls_touch(gap, over):
     """Check 1."""
     case = compose(["scenario=ball_to_ball", f"obstacle.gap={gap}"]).case
     plan = case.manoeuvre.plan(case)
-    state, seen = tracker.init(case, plan), at_start(plan, case.obstacle_as(TwoBalls).start())
-    assert bool(BallDocking(BallDrive(), 0.03).is_stage_over(case, plan, state, seen)) is over
+    state, seen = tracker.init(case, plan), at_start(plan, case.obstacle_of_type(TwoBalls).start())
+    assert bool(BallDockingLaw(BallDrive(), 0.03).is_stage_over(case, plan, state, seen)) is over
     late = state._replace(clock=0.5 * plan.duration[0])
-    assert not bool(BallDocking(BallDrive(), 0.03).is_stage_over(case, plan, late, seen))
+    assert not bool(BallDockingLaw(BallDrive(), 0.03).is_stage_over(case, plan, late, seen))
 
 
 @pytest.mark.parametrize(("knees", "over"), [(0.0, True), (1.0, False)])
@@ -133,10 +133,10 @@ def test_the_base_goes_no_farther_on_a_straight_leg(knees, over):
     """Check 4."""
     case = compose(["scenario=ball_to_ball", "obstacle.gap=0"]).case
     plan = case.manoeuvre.plan(case)
-    seen, state = at_start(plan, case.obstacle_as(TwoBalls).start(), knees), tracker.init(case, plan)
+    seen, state = at_start(plan, case.obstacle_of_type(TwoBalls).start(), knees), tracker.init(case, plan)
     ahead, front = (jnp.int32(plan.names.index(f"over.{name}")) for name in ("ahead", "front2"))
-    assert bool(Closing(0.0, 0.985).is_stage_over(case, plan, state._replace(stage=ahead), seen)) is over
-    assert not bool(Closing(0.0, 0.985).is_stage_over(case, plan, state._replace(stage=front), seen))
+    assert bool(BallClosingLaw(0.0, 0.985).is_stage_over(case, plan, state._replace(stage=ahead), seen)) is over
+    assert not bool(BallClosingLaw(0.0, 0.985).is_stage_over(case, plan, state._replace(stage=front), seen))
 
 
 def test_the_way_down_is_told_from_the_second_ball():
@@ -152,7 +152,7 @@ def test_the_way_down_is_told_from_the_second_ball():
             np.asarray(plan.foot_frame[here]).tolist()
             == np.where(wanted == WORLD_FRAME, WORLD_FRAME, wanted + 2).tolist()
         )
-        mode, of_one = (np.asarray(of.layer(ReferenceBodyMotion).support.mode) for of in (plan, down))
+        mode, of_one = (np.asarray(of.find_layer(ReferenceBodyMotion).support.mode) for of in (plan, down))
         assert mode[here].tolist() == [MEASURED, of_one[there, 0]]
 
 
@@ -166,7 +166,7 @@ def test_feet_on_the_second_ball_close_the_gap():
     """(3.5.2), its eta against our x, with the angle by which a ball rolls."""
     gap, press = 0.004, 7e-4
     case = compose(["scenario=ball_to_ball", f"obstacle.gap={gap}"]).case
-    plan, free = case.manoeuvre.plan(case), case.obstacle_as(TwoBalls).start()
+    plan, free = case.manoeuvre.plan(case), case.obstacle_of_type(TwoBalls).start()
     stage = plan.names.index("over.ahead")
     state = tracker.init(case, plan)
     feet = plan.foothold[stage]
@@ -174,13 +174,13 @@ def test_feet_on_the_second_ball_close_the_gap():
         stage=jnp.int32(stage),
         clock=plan.duration[stage],
         feet=feet,
-        memory=Closing(press, 1.0).init_memory(case, plan),
+        memory=BallClosingLaw(press, 1.0).init_memory(case, plan),
     )
     seen = at_start(plan, free)
     now = TickContext(case.robot, plan, state.stage, state.stage, state.clock, jnp.ones(()), jnp.asarray(True), seen,
               tracker.reference_body_state(plan, state, free)[0], 0.004, state.joints, case.noise)  # fmt: skip
-    told = Closing(press, 1.0).guide(case, now, state)
-    radius, way = case.obstacle_as(TwoBalls).radius, gap + press
+    told = BallClosingLaw(press, 1.0).guide(case, now, state)
+    radius, way = case.obstacle_of_type(TwoBalls).radius, gap + press
     eta, zeta = -np.asarray(feet)[4:, 0], np.asarray(feet)[4:, 2]
     round_, angle = np.hypot(eta, zeta), np.arctan2(zeta, eta)
     wanted = np.stack([-(way + round_ * np.cos(angle - way / radius)), round_ * np.sin(angle - way / radius)], axis=-1)

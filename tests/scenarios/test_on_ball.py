@@ -150,7 +150,7 @@ def test_leaning_alone_turns_the_way_of_a_ball(engine):
 def test_it_drives_a_ball_aside(engine):
     """(3.3.7) gives the speed that its k_l is for, less what rolling friction takes in that time."""
     trial = compose(["scenario=ball_aside", f"engine={engine}"])
-    ball, aside = trial.case.obstacle_as(Ball), trial.case.manoeuvre
+    ball, aside = trial.case.obstacle_of_type(Ball), trial.case.manoeuvre
     simulation = make_engine(replace(trial.settings, width=1), trial.case, trial.case, trial.thresholds)
     trace = simulation.trace(trial.case, trial.case, np.zeros(1, int), 0)
     after = (trace.time > aside.period + 0.1) & (trace.time < aside.period + aside.coast)

@@ -59,7 +59,7 @@ def test_it_goes_ashore_from_a_raft_that_comes_turned(engine):
 @pytest.mark.slow
 def test_it_lands_on_a_bank_that_is_nearer_than_believed():
     """The raft, longer than believed too, meets it 60 mm early: the robot goes ashore there, and does not wait."""
-    belief = compose(["scenario=raft_cross"]).case.obstacle_as(Raft)
+    belief = compose(["scenario=raft_cross"]).case.obstacle_of_type(Raft)
     obstacle = {"water_width": np.array([0.99 * belief.water_width]), "length": np.array([1.01 * belief.length])}
     rows = outcomes(["scenario=raft_cross"], 1, known=False, obstacle=obstacle)
     assert rows["outcome"].tolist() == ["success"], rows["cause"]

@@ -80,7 +80,7 @@ def test_robots_that_know_neither_themselves_nor_the_pole_find_out_and_climb_it_
     """Up to 2 % off in all sizes, on poles 1.5 to 2 % thinner or thicker than believed."""
     trial = compose(["scenario=pole_climb", "engine=native", "control=learn"])
     case, random, width = trial.case, np.random.default_rng(2), 6
-    pole = case.obstacle_as(PoleLedge)
+    pole = case.obstacle_of_type(PoleLedge)
     off = {k: getattr(case.robot, k) * random.uniform(1 - SPREAD, 1 + SPREAD, width) for k in (*SIZES, *MASSES)}
     radius = pole.radius * (1 + random.uniform(0.015, 0.02, width) * np.tile([-1, 1], width // 2))
     world = replace(case, robot=replace(case.robot, **off), obstacle=replace(pole, radius=radius))

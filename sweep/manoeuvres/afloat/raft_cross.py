@@ -20,8 +20,8 @@ from sweep.controllers.plan import (
     TO_VELOCITY,
     Plan,
     Stage,
-    Support,
-    is_under_law,
+    SupportMotion,
+    is_guided_by_law,
     reference_stance,
 )
 from sweep.controllers.tracker import Guidance, TrackerState
@@ -31,9 +31,9 @@ from sweep.formulas.crossing import RaftCrossing, crossing
 from sweep.manoeuvres.afloat.statics import require_floating
 from sweep.manoeuvres.goals import ON_ITS_FEET
 from sweep.models.case import Case, Manoeuvre
-from sweep.models.frames import WORLD_FRAME, body_frame
+from sweep.models.frames import WORLD_FRAME, body_frame_number
 from sweep.models.legs import LEG_NAMES, LEGS
-from sweep.models.obstacles.charts import Chart, Number, point
+from sweep.models.obstacles.charts import Chart, Number, stack_point
 from sweep.models.obstacles.raft import Raft
 from sweep.models.obstacles.surface import FreeState
 from sweep.models.posture import Stance
@@ -92,11 +92,11 @@ class RaftCross(Manoeuvre):
         Raises:
             InputError: the raft would capsize or sink under the robot, all plain numbers.
         """
-        raft, length, push = belief.obstacle_as(Raft), belief.robot.body_length, self.push_motion(belief)
+        raft, length, push = belief.obstacle_of_type(Raft), belief.robot.body_length, self.push_motion(belief)
         require_floating(belief, (raft.length / 2 - MARGIN * length, self.offset))
         context, first = self.move_context(belief), START_POSITION - self.approach * self.stride_ratio
-        feet = {leg: context.foot(leg, {"near": [first + HIPS[leg - 1]]}, "", 0.0).point for leg in LEGS}
-        position, _, _ = context.base({"by_near": [first]}, "")
+        feet = {leg: context.foothold_at(leg, {"near": [first + HIPS[leg - 1]]}, "", 0.0).point for leg in LEGS}
+        position, _, _ = context.base_pose_at({"by_near": [first]}, "")
         start = Stance(jnp.stack([feet[leg] for leg in LEGS]), position, jnp.array(IDENTITY))
         aboard, reached, landed = (list(read_moves(belief, part).values()) for part in ("aboard", "reach", "land"))
         ashore, reached_at, end = (move.base[chart][0] for move, chart in (
@@ -141,10 +141,10 @@ class RaftCross(Manoeuvre):
 
         A moored raft stays at its reference: measured anew at every step, it would be let go step by step.
         """
-        raft, length = belief.obstacle_as(Raft), belief.robot.body_length
+        raft, length = belief.obstacle_of_type(Raft), belief.robot.body_length
         aside, deck = belief.robot.body_width / 2 + self.spread_ratio * length, raft.thickness / 2
         hips, squat = self.height_ratio * length, self.squat_ratio * length
-        half, width, raft_frame = raft.length / 2, raft.water_width, body_frame(0)
+        half, width, raft_frame = raft.length / 2, raft.water_width, body_frame_number(0)
         feet = {"near": (0.0, 0.0, WORLD_FRAME), "brace": (0.0, 0.0, WORLD_FRAME), "deck": (-half, deck, raft_frame),
                 "deck_far": (half, deck, raft_frame), "far": (width, 0.0, WORLD_FRAME)}  # fmt: skip
         bases = {"by_near": (0.0, hips, WORLD_FRAME), "on_deck": (-half, hips + deck, raft_frame),
@@ -160,8 +160,9 @@ class RaftCross(Manoeuvre):
         depths = {**dict.fromkeys(feet, self.deepening), "brace": self.deepening + self.bracing}
         berths = {"moored": half, "pulled": width - half}  # wherever along the banks
         along = jnp.array([1.0, 0.0, 0.0])
-        supports = {"free": (Support(),), "stays": (STAYS,),
-                    **{name: (Support(ALONGSIDE, position=x * along),) for name, x in berths.items()}}  # fmt: skip
+        supports = {"free": (SupportMotion(),), "stays": (STAYS,),
+                    **{name: (SupportMotion(ALONGSIDE, position=x * along),)
+                       for name, x in berths.items()}}  # fmt: skip
         return MoveContext(belief, length, self.swing, self.lift_ratio * length, depths, charts, supports,
                      (PUSH, WAIT, REACH, PULL, ASHORE), {"onset": REGRIP})  # fmt: skip
 
@@ -175,15 +176,15 @@ class RaftCross(Manoeuvre):
             stage: the stage of the push.
             push: speed and turn to gain.
         """
-        mass = belief.obstacle_as(Raft).mass + total_mass(belief.robot)
+        mass = belief.obstacle_of_type(Raft).mass + total_mass(belief.robot)
         speed, turn = self.push * push.v0, self.push * push.w0
         force = jnp.maximum(self.force, mass * speed**2 / (2 * self.push_ratio * belief.robot.body_length))
-        to = Support(TO_VELOCITY, jnp.array([1.0, 0.0, 0.0]) * speed, jnp.array([0.0, 0.0, -1.0]) * turn)
+        to = SupportMotion(TO_VELOCITY, jnp.array([1.0, 0.0, 0.0]) * speed, jnp.array([0.0, 0.0, -1.0]) * turn)
         return replace(stage, duration=mass * speed / force, support=(to,))
 
     def push_motion(self, belief: Case) -> RaftCrossing:
         """Return speed, turn and time of the push-off by (4.3) and (4.3.1)."""
-        raft, load = belief.obstacle_as(Raft), total_mass(belief.robot)
+        raft, load = belief.obstacle_of_type(Raft), total_mass(belief.robot)
         a, b, _ = raft.half_size
         mass, al2 = raft.mass + load, raft.drag * raft.width * raft.draught(load)
         inertia = mass * (a**2 + b**2) / 3
@@ -200,12 +201,12 @@ class RaftCross(Manoeuvre):
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
         """Follow the plan, but land where the raft has actually arrived."""
         plan, stage, free = ctx.plan, ctx.stage, ctx.obs.free
-        gap = jnp.min(far_gaps(belief.obstacle_as(Raft), free))
+        gap = jnp.min(far_gaps(belief.obstacle_of_type(Raft), free))
         short = jnp.where((gap > self.near) & (gap < MARGIN * belief.robot.body_length), gap, 0.0)
         drift = jnp.stack([-short, self.drift_along_bank(plan, stage, free), jnp.zeros_like(short)])
-        memory = jnp.where(ctx.is_first_tick & is_under_law(plan, stage, REACH), drift, state.memory)
+        memory = jnp.where(ctx.is_first_tick & is_guided_by_law(plan, stage, REACH), drift, state.memory)
         frames = jnp.append(plan.foot_frame[stage], plan.base_frame[stage])
-        ashore = is_under_law(plan, stage, REACH, PULL, ASHORE) & (frames == WORLD_FRAME)
+        ashore = is_guided_by_law(plan, stage, REACH, PULL, ASHORE) & (frames == WORLD_FRAME)
         shifts = jnp.where(ashore[:, None], memory, 0.0)
         goal, position = plan.foothold[stage] + shifts[:6], plan.position.at[stage].add(shifts[6])
         stance = reference_stance(replace(plan, position=position), stage, ctx.phase, state.feet, state.position, goal)
@@ -221,13 +222,15 @@ class RaftCross(Manoeuvre):
             stage: stage number.
             free: measured state of the raft.
         """
-        place = jnp.where(plan.base_frame[stage] == body_frame(0), plan.position[stage], self.offset * jnp.eye(3)[1])
+        place = jnp.where(
+            plan.base_frame[stage] == body_frame_number(0), plan.position[stage], self.offset * jnp.eye(3)[1]
+        )
         return (free.position[0] + rotate(free.quat[0], place))[1] - self.offset
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
         """End the wait once the raft is at the bank, or still and close to it; end a pull once it lies alongside."""
-        gaps = far_gaps(belief.obstacle_as(Raft), obs.free) + state.memory[0]
-        waits, pulls = is_under_law(plan, state.stage, WAIT), is_under_law(plan, state.stage, PULL)
+        gaps = far_gaps(belief.obstacle_of_type(Raft), obs.free) + state.memory[0]
+        waits, pulls = is_guided_by_law(plan, state.stage, WAIT), is_guided_by_law(plan, state.stage, PULL)
         still = jnp.abs(obs.free.velocity[0, 0]) < self.slow
         met = (jnp.min(gaps) < self.near) | (still & (jnp.min(gaps) < MARGIN * belief.robot.body_length))
         return (waits & met) | (pulls & (jnp.max(gaps) < self.close) & still)
@@ -253,7 +256,7 @@ def make_chart_beyond_edge(
     """
 
     def place(raft: Raft, side: float, unit: Number, depth: Number, ahead: Number) -> Float[Array, " 3"]:
-        return point(edge + ahead * unit, middle + side * aside, up - depth)
+        return stack_point(edge + ahead * unit, middle + side * aside, up - depth)
 
     return Chart(("ahead",), place, frame)
 

@@ -10,14 +10,14 @@ from sweep.manoeuvres.afloat.statics import require_floating
 from sweep.manoeuvres.goals import ON_ITS_FEET
 from sweep.manoeuvres.walking.walk import level_stance
 from sweep.models.case import Case, Manoeuvre
-from sweep.models.frames import body_frame
-from sweep.models.obstacles.charts import point
+from sweep.models.frames import body_frame_number
+from sweep.models.obstacles.charts import stack_point
 from sweep.models.obstacles.raft import Raft
 from sweep.models.posture import Stance
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.gaits import TRIPOD
 
-DECK = (body_frame(0),) * 6
+DECK = (body_frame_number(0),) * 6
 
 
 @parameters
@@ -50,23 +50,23 @@ class RaftStand(Manoeuvre):
         Raises:
             InputError: the raft would capsize or sink under the robot in its middle, all plain numbers.
         """
-        raft, length = belief.obstacle_as(Raft), belief.robot.body_length
+        raft, length = belief.obstacle_of_type(Raft), belief.robot.body_length
         require_floating(belief, (0.0, 0.0))
         free = raft.start()
         stance, centres = level_stance(belief, self.spread_ratio * length, self.height_ratio * length)
         deck = free.position[0] + jnp.array([0.0, 0.0, 1.0]) * raft.half_size[2]
         start = Stance(deck + stance.feet, deck + stance.position, stance.quat)
-        displacement = point(self.ahead, self.aside, 0.0)
+        displacement = stack_point(self.ahead, self.aside, 0.0)
         up, down = jnp.array([0.0, 0.0, 1.0]), jnp.array([0.0, 0.0, -1.0]) * self.deepening
         base = stance.position + raft.half_size[2] * up
-        stages = [Stage("stand", 1.0, position=base, onset=REGRIP, foot_frames=DECK, base_frame=body_frame(0))]
+        stages = [Stage("stand", 1.0, position=base, onset=REGRIP, foot_frames=DECK, base_frame=body_frame_number(0))]
         for k in range(self.steps + 1):
             base = base + displacement / self.steps if k < self.steps else base
             ahead = displacement / self.steps / 2 if k < self.steps - 1 else jnp.zeros(3)
             swing = {leg: base + centres[leg - 1] + ahead + down for leg in TRIPOD[k % 2]}
             stages.append(
                 Stage(f"walk.{k + 1}", self.swing, swing, CYCLE_B_SMOOTH, self.lift_ratio * length, position=base,
-                      rates=(0.0, 0.0), onset=REGRIP, foot_frames=DECK, base_frame=body_frame(0))
+                      rates=(0.0, 0.0), onset=REGRIP, foot_frames=DECK, base_frame=body_frame_number(0))
             )  # fmt: skip
-        stages.append(Stage("rest", self.rest, onset=REGRIP, foot_frames=DECK, base_frame=body_frame(0)))
+        stages.append(Stage("rest", self.rest, onset=REGRIP, foot_frames=DECK, base_frame=body_frame_number(0)))
         return compile_plan(start, stages, self.patience, ease=self.ease, free=free, afloat=True)

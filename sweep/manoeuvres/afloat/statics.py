@@ -7,9 +7,9 @@ from jaxtyping import Array
 from sweep.core.constants import GRAVITY
 from sweep.core.errors import InputError
 from sweep.formulas.raft_statics import raft_equilibrium
-from sweep.fused.numbers import evaluate_numbers
+from sweep.fused.numbers import evaluate_plain_numbers
 from sweep.models.case import Case
-from sweep.models.obstacles.charts import point
+from sweep.models.obstacles.charts import stack_point
 from sweep.models.obstacles.raft import CORNER_SIGNS, WATER_DENSITY, Raft
 from sweep.models.robot import total_mass
 from sweep.planning.validation import are_plain_numbers
@@ -25,10 +25,10 @@ def freeboard_and_draught(
         offset: robot's mass centre ahead and to the left of the raft's middle (m).
         height: of the mass centre above the deck (m).
     """
-    raft, load = belief.obstacle_as(Raft), total_mass(belief.robot)
+    raft, load = belief.obstacle_of_type(Raft), total_mass(belief.robot)
     a, b, d = raft.half_size
     mass = raft.mass + load
-    place = load / mass * point(*offset, d + height)
+    place = load / mass * stack_point(*offset, d + height)
     rest = raft_equilibrium(GRAVITY * mass, place, a, b, d, WATER_DENSITY * GRAVITY)
     corners = jnp.stack([x * a * rest.a31 + y * b * rest.a32 for x, y in CORNER_SIGNS])
     freeboard = d * rest.a33 - rest.depth
@@ -48,7 +48,7 @@ def require_floating(belief: Case, offset: tuple[float, float]) -> None:
     if not are_plain_numbers(belief.robot, belief.obstacle, belief.manoeuvre):
         return
     freeboard, draught = map(
-        float, evaluate_numbers(lambda: freeboard_and_draught(belief, offset, 0.5 * belief.robot.body_length))
+        float, evaluate_plain_numbers(lambda: freeboard_and_draught(belief, offset, 0.5 * belief.robot.body_length))
     )
     if freeboard > 0 and draught > 0:
         return
@@ -56,6 +56,6 @@ def require_floating(belief: Case, offset: tuple[float, float]) -> None:
     if freeboard > 0:
         ends = f"lifts a corner {-1e3 * draught:.0f} mm out of the water"
     raise InputError(
-        f"obstacle.density = {belief.obstacle_as(Raft).density:g} is not allowed: the raft {ends} under the robot of "
-        f"{total_mass(belief.robot):g} kg, {offset[0]:.2f} m ahead and {offset[1]:.2f} m to the left of its middle"
+        f"obstacle.density = {belief.obstacle_of_type(Raft).density:g} is not allowed: the raft {ends} under the robot "
+        f"of {total_mass(belief.robot):g} kg, {offset[0]:.2f} m ahead and {offset[1]:.2f} m to the left of its middle"
     )

@@ -27,7 +27,7 @@ from sweep.controllers.ball_state import (
 )
 from sweep.controllers.layers import TickContext
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import CYCLE_A, GRIP, KEEP, REGRIP, Plan, Stage, Support, swing_progress
+from sweep.controllers.plan import CYCLE_A, GRIP, KEEP, REGRIP, Plan, Stage, SupportMotion, swing_progress
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.constants import GRAVITY
 from sweep.core.parameters import choice, count, parameters, quantity
@@ -35,7 +35,7 @@ from sweep.core.rotations import IDENTITY, conjugate, rotate
 from sweep.formulas.ball import ROLLING_INERTIA, stabilise_delta
 from sweep.manoeuvres.goals import ON_ITS_FEET
 from sweep.models.case import Case, Manoeuvre
-from sweep.models.frames import body_frame, koenig_frame
+from sweep.models.frames import body_frame_number, koenig_frame_number
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.ball import Ball
 from sweep.models.posture import Stance
@@ -58,7 +58,7 @@ class StandPose(NamedTuple):
 
 
 @parameters
-class OnBall(Manoeuvre):
+class OnBallManoeuvre(Manoeuvre):
     """Base class of manoeuvres on top of a ball. Ratios are to the length a_r unless said otherwise."""
 
     circle_ratio: float = quantity(0.613, "R", above=0, at_most=1)  # d_1, radius of the circle of footholds on the ball
@@ -71,7 +71,7 @@ class OnBall(Manoeuvre):
 
     needs = (Ball,)
 
-    def make_drive(self, **options: Any) -> "BallDrive":
+    def make_ball_drive(self, **options: Any) -> "BallDrive":
         """Return a `BallDrive` on the same footholds, with its other parameters as given."""
         return BallDrive(circle_ratio=self.circle_ratio, chord_ratio=self.chord_ratio,
                          height_ratio=self.height_ratio, deepening=self.deepening, **options)  # fmt: skip
@@ -82,7 +82,7 @@ def ball_move_context(
     unit: Array | float,
     deepening: Array | float,
     press: tuple[Array | float, Array | float],
-    supports: Mapping[str, tuple[Support, ...]],
+    supports: Mapping[str, tuple[SupportMotion, ...]],
     laws: tuple[str, ...] = (),
 ) -> MoveContext:
     """Return the charts, frames and laws that moves on balls and beside them refer to.
@@ -111,17 +111,17 @@ def require_start_within_reach(belief: Case, start: Callable[[], Stance]) -> Non
         InputError: a foot is out of reach.
     """
     require_within_reach(belief, lambda: {f"at the start of manoeuvre = {belief.manoeuvre.kind}": start()},
-                 f"obstacle.radius = {belief.obstacle_as(Ball).radius} is not allowed: ")  # fmt: skip
+                 f"obstacle.radius = {belief.obstacle_of_type(Ball).radius} is not allowed: ")  # fmt: skip
 
 
-def stand_pose(belief: Case, manoeuvre: OnBall) -> StandPose:
+def stand_pose(belief: Case, manoeuvre: OnBallManoeuvre) -> StandPose:
     """Return the pose of a robot with its feet on their circle and a level base over the ball.
 
     Args:
         belief: has robot and ball.
         manoeuvre: has the circle of footholds.
     """
-    radius, length = belief.obstacle_as(Ball).radius, belief.robot.body_length
+    radius, length = belief.obstacle_of_type(Ball).radius, belief.robot.body_length
     circle = manoeuvre.circle_ratio * radius
     feet = ball_footholds(radius, circle, manoeuvre.chord_ratio * circle) * (1 - manoeuvre.deepening / radius)
     above = jnp.asarray(UP) * (radius + manoeuvre.height_ratio * length)
@@ -144,7 +144,7 @@ def stance_on_ball(belief: Case, pose: StandPose) -> Stance:
         belief: has the ball.
         pose: pose relative to the ball's centre.
     """
-    centre = jnp.asarray(UP) * belief.obstacle_as(Ball).radius
+    centre = jnp.asarray(UP) * belief.obstacle_of_type(Ball).radius
     return Stance(pose.feet + centre, pose.position + centre, jnp.array(IDENTITY))
 
 
@@ -155,7 +155,7 @@ def standing_stages(pose: StandPose, times: Mapping[str, Array | float]) -> list
         pose: pose relative to the ball's centre.
         times: durations (s) by the stages' names.
     """
-    frames = {"foot_frames": (body_frame(0),) * 6, "base_frame": koenig_frame(0)}
+    frames = {"foot_frames": (body_frame_number(0),) * 6, "base_frame": koenig_frame_number(0)}
     return [Stage(name, time, position=pose.position, onset=KEEP, **frames) for name, time in times.items()]
 
 
@@ -169,7 +169,7 @@ class BalanceMemory(NamedTuple):
 
 
 @parameters
-class BallBalance(OnBall):
+class BallBalance(OnBallManoeuvre):
     """Stand on a ball, stop it and put the mass centre over it by moving the body. Ratios are to the length a_r.
 
     There are two laws. `manoeuvre` plans every `period` T from the measured state: base = start + D^-1 (-x) delta(tau)
@@ -225,7 +225,7 @@ class BallBalance(OnBall):
     def _plan_move(self, belief: Case, memory: BalanceMemory, obs: Observation) -> BalanceMemory:
         """Plan the move of (3.1.1) and the pulse after fig. 3.1.2 from the measured state."""
         robot, stance = belief.robot, measured_stance(belief.robot, obs)
-        momentum = angular_momentum(robot, belief.obstacle_as(Ball), obs)
+        momentum = angular_momentum(robot, belief.obstacle_of_type(Ball), obs)
         off = (centre_of_mass(robot, stance) - obs.free.position[0])[:2]
         pulse = lean_impulse(momentum, total_mass(robot)) / self.period
         place = memory.place.at[:2].add(memory.move)
@@ -237,7 +237,9 @@ class BallBalance(OnBall):
         """Advance the law `tick` by one tick: the commanded mass centre moves towards its target."""
         robot, free = belief.robot, obs.free
         share = jnp.minimum(1.0, period / jnp.maximum(self.smoothing, period))
-        momentum = memory.momentum + share * (angular_momentum(robot, belief.obstacle_as(Ball), obs) - memory.momentum)
+        momentum = memory.momentum + share * (
+            angular_momentum(robot, belief.obstacle_of_type(Ball), obs) - memory.momentum
+        )
         wanted = self.momentum_gain * lean_impulse(momentum, total_mass(robot)) - self.place_gain * free.position[0, :2]
         wanted = jnp.clip(wanted, -self.reach, self.reach)
         stance = Stance(rotate(free.quat, state.feet), memory.place, jnp.array(IDENTITY))
@@ -248,7 +250,7 @@ class BallBalance(OnBall):
         return memory._replace(place=place, momentum=momentum)
 
 
-class TrackPoint(NamedTuple):
+class BallPathPoint(NamedTuple):
     """Position of the ball relative to its planned path, seen from above."""
 
     along: Float[Array, " 2"]  # unit vector along the path
@@ -270,7 +272,7 @@ class DriveMemory(NamedTuple):
 
 
 @parameters
-class BallDrive(OnBall):
+class BallDrive(OnBallManoeuvre):
     """Walk on a ball by tripod so that it rolls along x at `speed`, and stop at `place`. Ratios are to the length a_r.
 
     In each step, the mass centre is pushed ahead by k_v (v_d - v_e) delta'(tau) (3.1.8), every `push_every` steps; kept
@@ -318,7 +320,7 @@ class BallDrive(OnBall):
 
     def lateral_offset(self, way: Float[Array, " 3"]) -> Array:
         """Return the ball's lateral distance (m) from its path, see `Manoeuvre`."""
-        return jnp.abs(self.track(way).left_offset)
+        return jnp.abs(self.path_point_at(way).left_offset)
 
     def plan(self, belief: Case) -> Plan:
         """Return the plan of steps by both tripods in turn."""
@@ -338,15 +340,16 @@ class BallDrive(OnBall):
         for k in range(self.steps):
             legs = TRIPOD[k % 2]
             swing = {leg: pose.feet[leg - 1] for leg in legs}
-            frames = tuple(koenig_frame(0) if leg in legs else body_frame(0) for leg in LEGS)
+            frames = tuple(koenig_frame_number(0) if leg in legs else body_frame_number(0) for leg in LEGS)
             time = self.step_time * (1.0 if k else first_share)
             stages.append(Stage(f"{law}{k + 1}", time, swing, CYCLE_A, position=pose.position,
-                                foot_frames=frames, base_frame=koenig_frame(0), law=law, onset=REGRIP))  # fmt: skip
+                                foot_frames=frames, base_frame=koenig_frame_number(0), law=law,
+                                onset=REGRIP))  # fmt: skip
         return stages
 
-    def track(self, place: Float[Array, " 3"]) -> TrackPoint:
+    def path_point_at(self, place: Float[Array, " 3"]) -> BallPathPoint:
         """Return the path's point and direction at a ball's position `place` (m); the path is along x."""
-        return TrackPoint(jnp.array([1.0, 0.0]), place[0], place[1], jnp.zeros_like(place[0]))
+        return BallPathPoint(jnp.array([1.0, 0.0]), place[0], place[1], jnp.zeros_like(place[0]))
 
     def init_memory(self, belief: Case, plan: Plan) -> DriveMemory:
         """Return the state before the first push."""
@@ -378,8 +381,8 @@ class BallDrive(OnBall):
         self, belief: Case, ctx: TickContext, state: TrackerState
     ) -> tuple[DriveMemory, Float[Array, "6 3"]]:
         """Plan a step from the ball's measured position and speed: push by (3.1.8), delta r^(3), turned footholds."""
-        ball, memory, obs = belief.obstacle_as(Ball), state.memory, ctx.obs
-        track = self.track(obs.free.position[0])
+        ball, memory, obs = belief.obstacle_of_type(Ball), state.memory, ctx.obs
+        track = self.path_point_at(obs.free.position[0])
         speed = obs.free.velocity[0, :2] @ track.along
         wanted = jnp.minimum(self.speed, self.brake * (self.place - track.progress))
         pushes = state.stage % self.push_every == 0
@@ -416,7 +419,7 @@ def lean_on_curve(belief: Case, height: Array | float) -> Array | float:
         belief: has robot and ball.
         height: of the mass centre above the ball's centre (m).
     """
-    ball, mass = belief.obstacle_as(Ball), total_mass(belief.robot)
+    ball, mass = belief.obstacle_of_type(Ball), total_mass(belief.robot)
     return (ROLLING_INERTIA * ball.mass * ball.radius + mass * (ball.radius + height)) / (mass * GRAVITY)
 
 

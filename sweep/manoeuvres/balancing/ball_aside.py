@@ -14,7 +14,7 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import rotate
 from sweep.formulas.ball import ROLLING_INERTIA, lateral_mu
 from sweep.manoeuvres.balancing.ball import (
-    OnBall,
+    OnBallManoeuvre,
     compensate_base,
     stance_on_ball,
     stand_pose,
@@ -31,7 +31,7 @@ MU_INTEGRAL = 1.5  # integral of mu over T, in units of T
 
 
 @parameters
-class BallAside(OnBall):
+class BallAside(OnBallManoeuvre):
     """Drive a ball to the left at `speed`, coast, and stop it, with all feet standing. Ratios are to the length a_r.
 
     In a stage of T, the mass centre moves sideways by k_l (v_d - v_b) mu(tau), (3.3.7), and back. k_l follows from the
@@ -63,7 +63,7 @@ class BallAside(OnBall):
         """Radius d_1 (R) of the foothold circle at which front and rear feet are as far apart as the hips."""
         robot = belief.robot
         aside = robot.body_width / 2 + self.room_ratio * robot.body_length
-        wanted = aside / (belief.obstacle_as(Ball).radius * jnp.sqrt(1 - self.chord_ratio**2))
+        wanted = aside / (belief.obstacle_of_type(Ball).radius * jnp.sqrt(1 - self.chord_ratio**2))
         return jnp.clip(wanted, self.circle_ratio, 1.0)
 
     def init_memory(self, belief: Case, plan: Plan) -> Float[Array, ""]:
@@ -94,6 +94,6 @@ def lateral_gain(belief: Case, plan: Plan, period: Array | float) -> Array:
         plan: has the height of the base.
         period: T (s).
     """
-    ball, mass = belief.obstacle_as(Ball), total_mass(belief.robot)
+    ball, mass = belief.obstacle_of_type(Ball), total_mass(belief.robot)
     inertia = ROLLING_INERTIA * ball.mass * ball.radius + mass * (ball.radius + plan.position[0, 2])
     return inertia / (MU_INTEGRAL * mass * GRAVITY * period)

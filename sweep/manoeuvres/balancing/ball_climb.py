@@ -6,16 +6,16 @@ from typing import ClassVar, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from sweep.controllers.plan import RESTS, TO_VELOCITY, Plan, Stage, Support
+from sweep.controllers.plan import RESTS, TO_VELOCITY, Plan, Stage, SupportMotion
 from sweep.controllers.tracker import FeedbackLaw
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import IDENTITY
 from sweep.formulas.ball_reach import max_ball
-from sweep.fused.numbers import evaluate_numbers
+from sweep.fused.numbers import evaluate_plain_numbers
 from sweep.manoeuvres.balancing.ball import ball_move_context, require_start_within_reach, stand_pose
-from sweep.manoeuvres.balancing.ball_ride import RIDE, Ride
-from sweep.manoeuvres.balancing.beside_ball import CALM, BesideBall
+from sweep.manoeuvres.balancing.ball_ride import RIDE, RideUpLaw
+from sweep.manoeuvres.balancing.beside_ball import CALM, BesideBallManoeuvre
 from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
@@ -33,7 +33,7 @@ class PushSpeed(NamedTuple):
 
 
 @parameters
-class BallClimb(BesideBall):
+class BallClimb(BesideBallManoeuvre):
     """From the floor on to a free ball and to rest on its top."""
 
     goal: ClassVar = {**UPRIGHT, "obstacle_speed_error_max_mps": 0.01, "obstacle_aside_max_m": 0.05}
@@ -60,14 +60,14 @@ class BallClimb(BesideBall):
             InputError: the ball is too large, or the feet do not reach the floor, all plain numbers.
         """
         start, up = self.climb_stages(belief)
-        calm = self.calm_drive.step_stages(stand_pose(belief, self), CALM)
+        calm = self.stopping_drive.step_stages(stand_pose(belief, self), CALM)
         return compile_plan(start, [*up, *calm], self.patience, ease=self.ease)
 
     def climb_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """Return the start stance, and the stages from there until the robot stands on top; see `plan`."""
         self.validate(belief)
-        require_start_within_reach(belief, lambda: self.start_standing(belief)[0])
-        start, standing = self.start_standing(belief)
+        require_start_within_reach(belief, lambda: self.start_stance_and_state(belief)[0])
+        start, standing = self.start_stance_and_state(belief)
         stages, standing = part_stages("approach", self.move_context(belief, self.deepening, (0.0, 0.0)), standing, "")
         on_ball = self.move_context(belief, self.deepening + self.press, (self.press, self.squeeze))
         for part, prefix in (("hold", ""), ("ride", "ride."), ("stand", "")):
@@ -75,7 +75,7 @@ class BallClimb(BesideBall):
             stages += stages_of_part
         return start, stages
 
-    def start_standing(self, belief: Case) -> tuple[Stance, StandingState]:
+    def start_stance_and_state(self, belief: Case) -> tuple[Stance, StandingState]:
         """Return the start stance, and its feet and base as a `StandingState`."""
         feet, position, standing = initial_stance("start", self.move_context(belief, self.deepening, (0.0, 0.0)))
         return Stance(feet, position, jnp.array(IDENTITY)), standing
@@ -90,10 +90,10 @@ class BallClimb(BesideBall):
             deepening: depth of feet in what they stand on (m).
             press: pressure of feet on the ball (m), see `Stage.press`.
         """
-        radius = belief.obstacle_as(Ball).radius
+        radius = belief.obstacle_of_type(Ball).radius
         speed = self.push_speed * read_numbers(PushSpeed, belief, "push").speed
-        rolls = Support(TO_VELOCITY, jnp.zeros(3).at[0].set(speed), jnp.zeros(3).at[1].set(speed / radius))
-        supports = {"free": (Support(),), "rests": (RESTS,), "rolls": (rolls,)}
+        rolls = SupportMotion(TO_VELOCITY, jnp.zeros(3).at[0].set(speed), jnp.zeros(3).at[1].set(speed / radius))
+        supports = {"free": (SupportMotion(),), "rests": (RESTS,), "rolls": (rolls,)}
         return ball_move_context(belief, radius, deepening, press, supports, (RIDE,))
 
     def validate(self, belief: Case) -> None:
@@ -102,12 +102,12 @@ class BallClimb(BesideBall):
         Raises:
             InputError: the ball is too large, all plain numbers.
         """
-        robot, radius = belief.robot, belief.obstacle_as(Ball).radius
+        robot, radius = belief.robot, belief.obstacle_of_type(Ball).radius
         highest = 2 * (robot.thigh + robot.shin)  # m, height of the front hips that allows the largest ball
         numbers = (robot.thigh, robot.shin, highest, robot.body_width, belief.contact.friction)
         if not are_plain_numbers(numbers, radius):
             return
-        most = float(evaluate_numbers(lambda: max_ball(*numbers).R))
+        most = float(evaluate_plain_numbers(lambda: max_ball(*numbers).R))
         if not radius <= most:
             raise InputError(
                 f"obstacle.radius = {radius:g} is not allowed: at most {most:.2f} m can be climbed by legs of "
@@ -115,9 +115,9 @@ class BallClimb(BesideBall):
             )
 
     @property
-    def parts(self) -> Mapping[str, FeedbackLaw]:
+    def feedback_laws(self) -> Mapping[str, FeedbackLaw]:
         """The feedback laws of the ride up and of the steps that stop the ball."""
         return {
-            RIDE: Ride(self.gain, self.least_rate, self.most_rate, self.braking, self.centring, self.lean),
-            **super().parts,
+            RIDE: RideUpLaw(self.gain, self.least_rate, self.most_rate, self.braking, self.centring, self.lean),
+            **super().feedback_laws,
         }

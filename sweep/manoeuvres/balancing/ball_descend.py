@@ -14,7 +14,7 @@ from typing import ClassVar, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from sweep.controllers.plan import RESTS, STAYS, Plan, Stage, Support
+from sweep.controllers.plan import RESTS, STAYS, Plan, Stage, SupportMotion
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.formulas.ball import ball_omega
 from sweep.manoeuvres.balancing.ball import (
@@ -24,10 +24,10 @@ from sweep.manoeuvres.balancing.ball import (
     stance_on_ball,
     stand_pose,
 )
-from sweep.manoeuvres.balancing.beside_ball import CALM, BesideBall
+from sweep.manoeuvres.balancing.beside_ball import CALM, BesideBallManoeuvre
 from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
-from sweep.models.frames import body_frame, koenig_frame
+from sweep.models.frames import body_frame_number, koenig_frame_number
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.charts import Number
@@ -50,7 +50,7 @@ def ball_speed_at_floor(belief: Case, last: Move, time: Array) -> Array:
         last: move to the last pose on the ball.
         time: of the way down (s).
     """
-    ball, distance = belief.obstacle_as(Ball), last.base["tangent"][1]
+    ball, distance = belief.obstacle_of_type(Ball), last.base["tangent"][1]
     rolls = ball_omega(total_mass(belief.robot), ball.mass, ball.radius, distance * ball.radius, jnp.pi / 2,
                        jnp.pi / 2 - angle_from_top(last), -angle_from_top(last) / time, 0.0)  # fmt: skip
     return jnp.abs(rolls.omega) * ball.radius
@@ -75,7 +75,10 @@ def timed_moves(belief: Case, rate: Array | float) -> dict[str, Move]:
         belief: believed parameters.
         rate: of the way down, over that of the plan file.
     """
-    ball, (top, down, off) = belief.obstacle_as(Ball), (read_moves(belief, part) for part in ("top", "down", "off"))
+    ball, (top, down, off) = (
+        belief.obstacle_of_type(Ball),
+        (read_moves(belief, part) for part in ("top", "down", "off")),
+    )
     last = list(down.values())[-1]
     time = total_time(down.values()) / jnp.asarray(rate, float)
     fastest = ball_speed_at_floor(belief, last, time)
@@ -99,7 +102,7 @@ def timed_moves(belief: Case, rate: Array | float) -> dict[str, Move]:
 
 
 @parameters
-class BallDescend(BesideBall):
+class BallDescend(BesideBallManoeuvre):
     """From standing on a free ball down to the floor ahead; a rolling ball is stopped first."""
 
     goal: ClassVar = {**UPRIGHT, "obstacle_speed_error_max_mps": 0.01}
@@ -123,7 +126,7 @@ class BallDescend(BesideBall):
         """
         pose = self.stand_pose(belief)
         require_start_within_reach(belief, lambda: stance_on_ball(belief, self.stand_pose(belief)))
-        calm = self.calm_drive.step_stages(pose, CALM, first_share=0.5)
+        calm = self.stopping_drive.step_stages(pose, CALM, first_share=0.5)
         return compile_plan(
             stance_on_ball(belief, pose), [*calm, *self.descent_stages(belief)], self.patience, ease=self.ease
         )
@@ -133,13 +136,15 @@ class BallDescend(BesideBall):
 
         The last one is in the frame of a ball that is to stay in place.
         """
-        supports = {"free": (Support(),), "rests": (RESTS,), "stays": (STAYS,)}
+        supports = {"free": (SupportMotion(),), "rests": (RESTS,), "stays": (STAYS,)}
         context = ball_move_context(
-            belief, belief.obstacle_as(Ball).radius, self.deepening, (self.press, self.squeeze), supports
+            belief, belief.obstacle_of_type(Ball).radius, self.deepening, (self.press, self.squeeze), supports
         )
         feet = dict(zip(LEGS, self.stand_pose(belief).feet, strict=True))
-        down, _ = move_stages(timed_moves(belief, self.rate), context, make_standing(feet, 0.0, body_frame(0)), "")
+        down, _ = move_stages(
+            timed_moves(belief, self.rate), context, make_standing(feet, 0.0, body_frame_number(0)), ""
+        )
         last = down[-1]
-        halt = Stage("rest", self.rest, foot_frames=(koenig_frame(0),) * 6, base_frame=koenig_frame(0),
+        halt = Stage("rest", self.rest, foot_frames=(koenig_frame_number(0),) * 6, base_frame=koenig_frame_number(0),
                      support=(STAYS,), onset=last.onset, press=last.press)  # fmt: skip
         return [*down, halt]

@@ -12,17 +12,17 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from sweep.controllers.plan import LEVEL, RESTS, Plan, Support
+from sweep.controllers.plan import LEVEL, RESTS, Plan, SupportMotion
 from sweep.controllers.tracker import FeedbackLaw
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.manoeuvres.balancing.ball import (
     BallDrive,
-    OnBall,
+    OnBallManoeuvre,
     ball_move_context,
     require_start_within_reach,
     stand_pose,
 )
-from sweep.manoeuvres.balancing.parts import ByParts, DriveUntil
+from sweep.manoeuvres.balancing.parts import DriveUntilArrivalLaw, ManoeuvreInParts
 from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
 from sweep.models.obstacles.ledges import Ledges
@@ -43,7 +43,7 @@ ROLLS, ON, OFF = "roll", "on", "off"
 
 
 @dataclass(frozen=True)
-class WallDocking(DriveUntil):
+class WallDockingLaw(DriveUntilArrivalLaw):
     """Law that drives the ball until it rests at the far wall."""
 
     speed: Array | float  # m/s, at the wall
@@ -52,16 +52,16 @@ class WallDocking(DriveUntil):
 
     def drive_law(self, belief: Case, free: FreeState) -> FeedbackLaw:
         """Return the drive to a place so far behind the wall that the docking speed remains at the wall."""
-        return replace(self.drive, place=belief.obstacle_as(Ledges).far_wall_x + self.speed / self.drive.brake)
+        return replace(self.drive, place=belief.obstacle_of_type(Ledges).far_wall_x + self.speed / self.drive.brake)
 
     def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
         """Return whether the ball is at the wall and nearly at rest."""
-        remaining = belief.obstacle_as(Ledges).far_wall_x - free.position[0, 0]
+        remaining = belief.obstacle_of_type(Ledges).far_wall_x - free.position[0, 0]
         return (remaining < self.near) & (jnp.linalg.norm(free.velocity[0]) < self.calm)
 
 
 @parameters
-class BallLedges(OnBall, ByParts):
+class BallLedges(OnBallManoeuvre, ManoeuvreInParts):
     """Get on to the ball from one ledge, roll it to the other wall, and get off on to the ledge there."""
 
     goal: ClassVar = {
@@ -93,8 +93,8 @@ class BallLedges(OnBall, ByParts):
         Raises:
             InputError: a foot is out of reach at the start, all plain numbers.
         """
-        require_start_within_reach(belief, lambda: self.start_standing(belief)[0])
-        context, (stance, standing) = self.move_context(belief), self.start_standing(belief)
+        require_start_within_reach(belief, lambda: self.start_stance_and_state(belief)[0])
+        context, (stance, standing) = self.move_context(belief), self.start_stance_and_state(belief)
         name, stands = placing_move(belief, "start")
         stand = replace(stands, feet={})
         halt = replace(mirror_move(belief, stand, ()), seconds=1.0)
@@ -105,24 +105,25 @@ class BallLedges(OnBall, ByParts):
         rolling = self.roll_drive.step_stages(stand_pose(belief, self), ROLLS)
         return compile_plan(stance, [*stages, *get_on, *rolling, *get_off, *last], self.patience, ease=self.ease)
 
-    def start_standing(self, belief: Case) -> tuple[Stance, StandingState]:
+    def start_stance_and_state(self, belief: Case) -> tuple[Stance, StandingState]:
         """Return the start stance, and its feet and base as a `StandingState`, as far to the side as the ball."""
         feet, position, standing = initial_stance("start", self.move_context(belief))
-        aside = belief.obstacle_as(Ledges).start().position[0] * jnp.array([0.0, 1.0, 0.0])
+        aside = belief.obstacle_of_type(Ledges).start().position[0] * jnp.array([0.0, 1.0, 0.0])
         return Stance(feet + aside, position, jnp.asarray(LEVEL)), standing
 
     def move_context(self, belief: Case) -> MoveContext:
         """Return the charts and directions that moves of the plan file refer to."""
-        press, supports = (self.press, self.squeeze), {"free": (Support(),), "rests": (RESTS,)}
+        press, supports = (self.press, self.squeeze), {"free": (SupportMotion(),), "rests": (RESTS,)}
         return ball_move_context(belief, belief.robot.body_length, self.deepening, press, supports, (ON, OFF))
 
     @property
     def roll_drive(self) -> BallDrive:
         """The drive law that rolls the ball."""
-        return self.make_drive(steps=self.steps, speed=self.speed, step_time=self.step_time, speed_gain=self.speed_gain,
-                           brake=self.brake)  # fmt: skip
+        return self.make_ball_drive(
+            steps=self.steps, speed=self.speed, step_time=self.step_time, speed_gain=self.speed_gain, brake=self.brake
+        )
 
     @property
-    def parts(self) -> Mapping[str, FeedbackLaw]:
+    def feedback_laws(self) -> Mapping[str, FeedbackLaw]:
         """The feedback law of the steps that roll the ball."""
-        return {ROLLS: WallDocking(self.roll_drive, self.docking, self.near, self.calm_speed)}
+        return {ROLLS: WallDockingLaw(self.roll_drive, self.docking, self.near, self.calm_speed)}

@@ -10,23 +10,23 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.manoeuvres.balancing.ball import BallDrive
 from sweep.manoeuvres.balancing.ball_climb import BallClimb
 from sweep.manoeuvres.balancing.ball_descend import BallDescend
-from sweep.manoeuvres.balancing.beside_ball import CALM, BesideBall
-from sweep.manoeuvres.balancing.parts import SettleBall
+from sweep.manoeuvres.balancing.beside_ball import CALM, BesideBallManoeuvre
+from sweep.manoeuvres.balancing.parts import SettleBallLaw
 from sweep.manoeuvres.climbing.walking import AHEAD, REST_TO_REST, departure_stages, foot_centres_facing
 from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
-from sweep.models.frames import koenig_frame
+from sweep.models.frames import koenig_frame_number
 from sweep.models.legs import LEG_PAIRS
 from sweep.models.obstacles.ball import Ball, tangent_base_position
 from sweep.planning.compile_plan import compile_plan
-from sweep.planning.gaits import Step
+from sweep.planning.gaits import GaitStep
 from sweep.planning.moves import read_moves
 
 DRIVE = "drive"
 
 
 @parameters
-class BallCrossing(BesideBall):
+class BallCrossing(BesideBallManoeuvre):
     """Climb a free ball as `BallClimb`, roll it as `BallDrive`, descend as `BallDescend`, and walk away by tripod.
 
     Ratios are to the body's length a_r.
@@ -61,17 +61,17 @@ class BallCrossing(BesideBall):
 
     @property
     def _shared_parameters(self) -> dict:
-        return {field.name: getattr(self, field.name) for field in fields(BesideBall)}
+        return {field.name: getattr(self, field.name) for field in fields(BesideBallManoeuvre)}
 
     @property
     def travel_drive(self) -> BallDrive:
         """The drive law that rolls the ball to its place, with the gains of the stopping law."""
-        return replace(self.calm_drive, steps=self.drive, speed=self.speed, place=self.place, brake=self.brake)
+        return replace(self.stopping_drive, steps=self.drive, speed=self.speed, place=self.place, brake=self.brake)
 
     @property
-    def parts(self) -> Mapping[str, FeedbackLaw]:
+    def feedback_laws(self) -> Mapping[str, FeedbackLaw]:
         """The feedback laws of riding up, stopping the ball, and rolling it."""
-        return {**self.climb.parts, DRIVE: SettleBall(self.travel_drive, self.calm_speed, self.near)}
+        return {**self.climb.feedback_laws, DRIVE: SettleBallLaw(self.travel_drive, self.calm_speed, self.near)}
 
     def plan(self, belief: Case) -> Plan:
         """Return the plan: up, stop the ball, along, down, away.
@@ -81,7 +81,7 @@ class BallCrossing(BesideBall):
         """
         pose = self.descent.stand_pose(belief)
         start, up = self.climb.climb_stages(belief)
-        calm = self.calm_drive.step_stages(pose, CALM)
+        calm = self.stopping_drive.step_stages(pose, CALM)
         along = self.travel_drive.step_stages(pose, DRIVE)
         down = self.descent.descent_stages(belief)
         away = self.leave_stages(belief)
@@ -89,11 +89,11 @@ class BallCrossing(BesideBall):
 
     def leave_stages(self, belief: Case) -> list[Stage]:
         """Return the stages of walking away by tripod, in the frame of a ball that is to stay in place."""
-        radius, length = belief.obstacle_as(Ball).radius, belief.robot.body_length
+        radius, length = belief.obstacle_of_type(Ball).radius, belief.robot.body_length
         height, spread = self.hips_ratio * length, self.spread_ratio * length
-        step = Step.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.turning)
+        step = GaitStep.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.turning)
         *_, last = read_moves(belief, "off").values()
-        stood = tangent_base_position(belief.obstacle_as(Ball), 1.0, radius, 0.0, *last.base["tangent"])
+        stood = tangent_base_position(belief.obstacle_of_type(Ball), 1.0, radius, 0.0, *last.base["tangent"])
         position = stood.at[0].add(step.half_length).at[2].set(height - radius)  # clear of the ball
         under = position + foot_centres_facing(belief, spread, height, AHEAD)
         first = Stage("away.3-4", 1.0, {leg: under[leg - 1] for leg in LEG_PAIRS["middle"]}, CYCLE_B, 2 * step.height,
@@ -101,8 +101,8 @@ class BallCrossing(BesideBall):
         ready, walk = departure_stages(belief, step, position, spread, height, self.away, AHEAD)
         # Regrip: with `REZERO` the base would jump at once while feet follow within `ease`, and the robot would hop.
         options = {
-            "foot_frames": (koenig_frame(0),) * 6,
-            "base_frame": koenig_frame(0),
+            "foot_frames": (koenig_frame_number(0),) * 6,
+            "base_frame": koenig_frame_number(0),
             "support": (STAYS,),
             "onset": REGRIP,
         }

@@ -24,7 +24,7 @@ RIDE = "ride"
 LEAN_LAG, LEAN_MAX = 0.3, 0.03  # s and m, time constant and largest value of the lateral lean
 
 
-class RideMemory(NamedTuple):
+class RideUpMemory(NamedTuple):
     """State of the ride: displacement of the base since its start."""
 
     elevation: Float[Array, ""]  # rad, of the tangent along which the base lies
@@ -35,7 +35,7 @@ class RideMemory(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Ride:
+class RideUpLaw:
     """Law that rides up on a rolling ball, at the rate with which it stops when the top is reached: (3.1.13)-(3.1.16).
 
     If feet slip more on one side, the ball rolls sideways; the base leans the other way to slow that down, though not
@@ -51,17 +51,17 @@ class Ride:
     lean: Array | float  # s, lateral lean over the ball's lateral speed
     ends_stages: ClassVar = True
 
-    def init_memory(self, belief: Case, plan: Plan) -> RideMemory:
+    def init_memory(self, belief: Case, plan: Plan) -> RideUpMemory:
         """Return the initial state of the ride."""
         first = _first_stage(plan)
         x, _, z = plan.position[first - 1]
         elevation = 0.5 * np.pi + logarithm(plan.quat[first])[1]
         sin, cos = jnp.sin(elevation), jnp.cos(elevation)
-        return RideMemory(elevation, z * sin - x * cos, x * sin + z * cos, jnp.zeros(()), jnp.zeros(()))
+        return RideUpMemory(elevation, z * sin - x * cos, x * sin + z * cos, jnp.zeros(()), jnp.zeros(()))
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
         """Move the base up, and swing feet to places relative to it."""
-        ball, memory, plan, period = belief.obstacle_as(Ball), state.memory, ctx.plan, ctx.period
+        ball, memory, plan, period = belief.obstacle_of_type(Ball), state.memory, ctx.plan, ctx.period
         distance, rate = memory.distance, self.climb_rate(belief, ctx.obs)
         share = jnp.minimum(1.0, memory.time / self.centring)
         share = share**2 * (3 - 2 * share)
@@ -71,7 +71,7 @@ class Ride:
         lean = jnp.clip(-self.lean * ctx.obs.free.velocity[0, 1], -LEAN_MAX, LEAN_MAX)
         lean = jnp.where(state.stage > _first_stage(plan), lean, 0.0)
         aside = memory.aside + jnp.minimum(1.0, period / LEAN_LAG) * (lean - memory.aside)
-        memory = RideMemory(elevation, distance, memory.ahead + forward * period, aside, memory.time + period)
+        memory = RideUpMemory(elevation, distance, memory.ahead + forward * period, aside, memory.time + period)
         pose = jnp.degrees(elevation), distance / ball.radius, memory.ahead / ball.radius
         down = -tangent_pitch(ball, 1.0, *pose)
         turn = rotation_about_y(down + memory.ahead / distance)
@@ -92,7 +92,7 @@ class Ride:
             belief: has robot and ball.
             obs: measurement of this tick.
         """
-        ball, robot = belief.obstacle_as(Ball), belief.robot
+        ball, robot = belief.obstacle_of_type(Ball), belief.robot
         off = centre_of_mass(robot, measured_stance(robot, obs)) - obs.free.position[0]
         elevation = jnp.arctan2(off[2], -off[0])
         omega = jnp.maximum(obs.free.turn[0, 1], 0.0)

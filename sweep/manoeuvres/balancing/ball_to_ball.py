@@ -13,22 +13,22 @@ from jaxtyping import Array, Bool, Float
 
 from sweep.controllers.layers import TickContext
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import TOGETHER, Plan, Stage, Support, reference_stance, stage_end_stances
+from sweep.controllers.plan import TOGETHER, Plan, Stage, SupportMotion, reference_stance, stage_end_stances
 from sweep.controllers.reference_body_motion import ReferenceBodyMotion
 from sweep.controllers.tracker import FeedbackLaw, Guidance, TrackerState
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import conjugate, rotate
-from sweep.fused.numbers import evaluate_numbers
-from sweep.manoeuvres.balancing.ball import BallDrive, OnBall, ball_move_context, stance_on_ball, stand_pose
+from sweep.fused.numbers import evaluate_plain_numbers
+from sweep.manoeuvres.balancing.ball import BallDrive, OnBallManoeuvre, ball_move_context, stance_on_ball, stand_pose
 from sweep.manoeuvres.balancing.ball_descend import BallDescend
 from sweep.manoeuvres.balancing.ball_ride import rotation_about_y
 from sweep.manoeuvres.balancing.beside_ball import CALM
-from sweep.manoeuvres.balancing.checks import CheckLimits, apply_checks, mass_centre_margins, next_support
-from sweep.manoeuvres.balancing.parts import ByParts, DriveUntil, SingleBallLaw
+from sweep.manoeuvres.balancing.checks import CheckLimits, correct_stages, mass_centre_margins, next_support
+from sweep.manoeuvres.balancing.parts import DriveUntilArrivalLaw, ManoeuvreInParts, SingleBallLaw
 from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
-from sweep.models.frames import body_frame
+from sweep.models.frames import body_frame_number
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.surface import FreeState
 from sweep.models.obstacles.two_balls import TwoBalls
@@ -51,29 +51,29 @@ def ball_gap(balls: TwoBalls, free: FreeState) -> Float[Array, ""]:
 
 
 @dataclass(frozen=True)
-class BallDocking(DriveUntil):
+class BallDockingLaw(DriveUntilArrivalLaw):
     """Law that drives the first ball until it touches the second."""
 
     speed: Array | float  # m/s, on arrival
 
     def drive_law(self, belief: Case, free: FreeState) -> FeedbackLaw:
         """Return the drive to a place so far behind the second ball that the docking speed remains there."""
-        place = free.position[0, 0] + ball_gap(belief.obstacle_as(TwoBalls), free) + self.speed / self.drive.brake
+        place = free.position[0, 0] + ball_gap(belief.obstacle_of_type(TwoBalls), free) + self.speed / self.drive.brake
         return SingleBallLaw(replace(self.drive, place=place), 0)
 
     def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
         """Return whether the balls touch."""
-        return ball_gap(belief.obstacle_as(TwoBalls), free) < 4e-3
+        return ball_gap(belief.obstacle_of_type(TwoBalls), free) < 4e-3
 
 
-class ClosingMemory(NamedTuple):
-    """State of the law `Closing` between control ticks."""
+class BallClosingMemory(NamedTuple):
+    """State of the law `BallClosingLaw` between control ticks."""
 
     gap: Float[Array, ""]  # m, delta at the start of the stage
 
 
 @dataclass(frozen=True)
-class Closing:
+class BallClosingLaw:
     """Law that follows the plan, but feet on the second ball move it to the first and press it there: after (3.5.2).
 
     The book turns the feet by the motion over R_n; the ball rolls it over R.
@@ -83,27 +83,27 @@ class Closing:
     straight: Array | float  # longest leg over thigh and shin before the base stops
     ends_stages: ClassVar = True
 
-    def init_memory(self, belief: Case, plan: Plan) -> ClosingMemory:
+    def init_memory(self, belief: Case, plan: Plan) -> BallClosingMemory:
         """Return the state before the first stage."""
-        return ClosingMemory(jnp.zeros(()))
+        return BallClosingMemory(jnp.zeros(()))
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
         """Return the planned stance with the feet on the second ball moved."""
-        plan, stage, balls = ctx.plan, ctx.stage, belief.obstacle_as(TwoBalls)
+        plan, stage, balls = ctx.plan, ctx.stage, belief.obstacle_of_type(TwoBalls)
         gap = jnp.clip(ball_gap(balls, ctx.obs.free), 0.0, MAX_CLOSING)
-        memory: ClosingMemory = state.memory
+        memory: BallClosingMemory = state.memory
         gap = jnp.where(ctx.is_first_tick, gap, memory.gap)
         stance = reference_stance(plan, stage, ctx.phase, state.feet, state.position)
-        programme = plan.layer(ReferenceBodyMotion)
+        programme = plan.find_layer(ReferenceBodyMotion)
         assert programme is not None  # since it is how balls are brought together
         both = jnp.asarray(programme.support.mode)[stage, 0] == TOGETHER
         shift = jnp.where(both, ctx.phase * (gap + self.press), 0.0)
         quat = ctx.free.quat[1:]
         turned = rotate(rotation_about_y(-shift / balls.radius)[None], rotate(quat, stance.feet))
         moved = rotate(conjugate(quat), turned - shift * jnp.array([1.0, 0.0, 0.0]))
-        stands = (plan.foot_frame[stage] == body_frame(1))[:, None]
+        stands = (plan.foot_frame[stage] == body_frame_number(1))[:, None]
         return Guidance(stance._replace(feet=jnp.where(stands, moved, stance.feet)), plan.foothold[stage],
-                        ClosingMemory(gap))  # fmt: skip
+                        BallClosingMemory(gap))  # fmt: skip
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
         """End a motion of the base when a standing leg gets too straight; the next pair of feet moves then."""
@@ -118,11 +118,11 @@ MAX_CLOSING = 0.02  # m, gap that a stage closes at most
 
 def with_touching_balls(belief: Case) -> Case:
     """Return the belief with balls that touch, one right behind the other."""
-    return replace(belief, obstacle=replace(belief.obstacle_as(TwoBalls), gap=0.0, offset=0.0))
+    return replace(belief, obstacle=replace(belief.obstacle_of_type(TwoBalls), gap=0.0, offset=0.0))
 
 
 @parameters
-class BallToBall(OnBall, ByParts):
+class BallToBall(OnBallManoeuvre, ManoeuvreInParts):
     """Roll the first ball to the second, go over from one to the other, and stop that ball or get off it."""
 
     goal: ClassVar = {**UPRIGHT, "second_ball_speed_max_mps": 0.01}
@@ -161,12 +161,12 @@ class BallToBall(OnBall, ByParts):
         """
         self.validate(belief)
         pose, down = stand_pose(belief, self), self.descent
-        calm = down.calm_drive.step_stages(down.stand_pose(belief), CALM)
+        calm = down.stopping_drive.step_stages(down.stand_pose(belief), CALM)
         off = down.descent_stages(belief) if self.finish == "floor" else []
         stages = [
             *self.roll_drive.step_stages(pose, ROLLS),
             *self.transfer_stages(belief),
-            *SingleBallLaw(down, 1).stages_on_ball([*calm, *off]),
+            *SingleBallLaw(down, 1).retarget_stages([*calm, *off]),
         ]
         return compile_plan(stance_on_ball(belief, pose), stages, self.patience, ease=self.ease)
 
@@ -174,12 +174,12 @@ class BallToBall(OnBall, ByParts):
         """Return the stages from ball to ball, planned for balls at rest that touch, after the checks of 3.5.3."""
         pose = stand_pose(belief, self)
         feet = dict(zip(LEGS, pose.feet, strict=True))
-        supports = {"free": (Support(),) * 2, "together": (Support(TOGETHER),) * 2}
+        supports = {"free": (SupportMotion(),) * 2, "together": (SupportMotion(TOGETHER),) * 2}
         context = ball_move_context(
             belief, belief.robot.body_length, self.deepening, (self.press, self.squeeze), supports, (OVER,)
         )
-        stages = part_stages("over", context, make_standing(feet, 0.0, body_frame(0)))[0]
-        return apply_checks(with_touching_balls(belief), stance_on_ball(belief, pose), stages,
+        stages = part_stages("over", context, make_standing(feet, 0.0, body_frame_number(0)))[0]
+        return correct_stages(with_touching_balls(belief), stance_on_ball(belief, pose), stages,
                        CheckLimits(self.spare, self.straight, self.clear))  # fmt: skip
 
     def validate(self, belief: Case) -> None:
@@ -191,13 +191,13 @@ class BallToBall(OnBall, ByParts):
         if not are_plain_numbers(belief.robot, belief.obstacle, self, belief.plan):
             return
 
-        start = with_touching_balls(belief).obstacle_as(TwoBalls).start
+        start = with_touching_balls(belief).obstacle_of_type(TwoBalls).start
 
         def plan_and_margins() -> tuple[Plan, Array]:
             plan = compile_plan(stance_on_ball(belief, stand_pose(belief, self)), self.transfer_stages(belief), 0.0)
             return plan, mass_centre_margins(belief.robot, stage_end_stances(plan, start()), next_support(plan.swing))
 
-        plan, inside = evaluate_numbers(plan_and_margins)
+        plan, inside = evaluate_plain_numbers(plan_and_margins)
         require_within_reach(belief, lambda: stances_at_stage_ends(plan, start()), f"{self.kind}: ")
         inside = inside.min(axis=0)
         if not inside.min() >= self.spare:
@@ -209,7 +209,9 @@ class BallToBall(OnBall, ByParts):
     @property
     def roll_drive(self) -> BallDrive:
         """The drive law that rolls the first ball."""
-        return self.make_drive(steps=self.steps, speed=self.speed, step_time=self.step_time, speed_gain=self.speed_gain)
+        return self.make_ball_drive(
+            steps=self.steps, speed=self.speed, step_time=self.step_time, speed_gain=self.speed_gain
+        )
 
     @property
     def descent(self) -> BallDescend:
@@ -217,10 +219,10 @@ class BallToBall(OnBall, ByParts):
         return BallDescend(calm=self.calm, calm_speed=self.calm_speed)
 
     @property
-    def parts(self) -> Mapping[str, FeedbackLaw]:
+    def feedback_laws(self) -> Mapping[str, FeedbackLaw]:
         """The feedback laws of all parts: rolling, the transfer, and those of the second ball."""
         return {
-            ROLLS: BallDocking(self.roll_drive, self.docking),
-            OVER: Closing(self.closing, self.straight),
-            **{name: SingleBallLaw(law, 1) for name, law in self.descent.parts.items()},
+            ROLLS: BallDockingLaw(self.roll_drive, self.docking),
+            OVER: BallClosingLaw(self.closing, self.straight),
+            **{name: SingleBallLaw(law, 1) for name, law in self.descent.feedback_laws.items()},
         }

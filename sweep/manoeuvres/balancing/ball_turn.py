@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.manoeuvres.balancing.ball import BallDrive, TrackPoint
+from sweep.manoeuvres.balancing.ball import BallDrive, BallPathPoint
 
 
 @parameters
@@ -22,12 +22,12 @@ class BallTurn(BallDrive):
     straight: float = quantity(1.5, "m", at_least=0)  # length of the path before the turn
     radius: float = quantity(4.0, "m")  # rho, of the path of the ball's centre
 
-    def track(self, place: Float[Array, " 3"]) -> TrackPoint:
+    def path_point_at(self, place: Float[Array, " 3"]) -> BallPathPoint:
         """Return the path's point and direction at a ball's position `place` (m): along x, then along a circle."""
-        before = super().track(place)
+        before = super().path_point_at(place)
         x, y = (place[0] - self.straight) / self.radius, 1 - place[1] / self.radius
         angle, out = jnp.arctan2(x, y), jnp.hypot(x, y)
         along = jnp.stack([jnp.cos(angle), jnp.sin(angle)])
         off, curve = self.radius * (1 - out), jnp.ones_like(out) / self.radius
-        circle = TrackPoint(along, self.straight + self.radius * angle, off, curve)
-        return TrackPoint(*(jnp.where(place[0] > self.straight, a, b) for a, b in zip(circle, before, strict=True)))
+        circle = BallPathPoint(along, self.straight + self.radius * angle, off, curve)
+        return BallPathPoint(*(jnp.where(place[0] > self.straight, a, b) for a, b in zip(circle, before, strict=True)))

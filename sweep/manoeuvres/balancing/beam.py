@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.controllers.flywheel import Gains
+from sweep.controllers.flywheel import FlywheelGains
 from sweep.controllers.plan import BALANCE, CYCLE_B, LEVELLING, LOCKED, SMOOTH, STAND, Plan, Stage
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas.leg import SIDE_BY_LEG
@@ -20,11 +20,11 @@ from sweep.manoeuvres.goals import ARRIVED, UPRIGHT
 from sweep.models.case import Case, Manoeuvre
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.beam import Beam
-from sweep.models.obstacles.charts import point
+from sweep.models.obstacles.charts import stack_point
 from sweep.models.posture import Stance, joint_targets, leg_mounts
 from sweep.models.robot import Robot
 from sweep.planning.compile_plan import compile_plan
-from sweep.planning.gaits import TRIPOD, Step, initial_foot_offsets, regular_steps
+from sweep.planning.gaits import TRIPOD, GaitStep, initial_foot_offsets, regular_steps
 
 DIAGONALS = ((1, 6), (2, 5))
 MIDDLE = (3, 4)
@@ -34,19 +34,19 @@ LEVEL_LEGS = {3: (0.0, np.pi / 2, 0.0), 4: (0.0, np.pi / 2, np.pi)}
 FORWARD = (0.0, -1.0, 0.0)
 
 
-class BeamSite(NamedTuple):
-    """Geometry of robot and beam from which the stages are made; made by `BeamWalk.site`."""
+class BeamGeometry(NamedTuple):
+    """Geometry of robot and beam from which the stages are made; made by `BeamWalk.beam_geometry`."""
 
     robot: Robot
     ground: Array | float  # m, h_1, height of the ledges and the beam's top
     clearance: Array | float  # m, height of the hips above them
     track: Array | float  # m, xi_b, the narrow track
     deepening: Array | float  # m, epsilon
-    step: Step
+    step: GaitStep
 
     def base_at(self, y: Array | float) -> Float[Array, " 3"]:
         """Return the position of the base (m) at coordinate y along the beam."""
-        return point(0.0, y, self.ground + self.clearance)
+        return stack_point(0.0, y, self.ground + self.clearance)
 
     def feet_at(self, y: Array | float, track: Array | float) -> Float[Array, "6 3"]:
         """Return feet beside their hips (m), each `track` (m) from the middle line, for a base at y."""
@@ -57,7 +57,7 @@ class BeamSite(NamedTuple):
 
     def swing_stage(self, name: str, legs: Sequence[int], feet: Float[Array, "6 3"], **more) -> Stage:
         """Return a stage in which some legs step to their places in `feet`."""
-        return Stage(name, self.step.time, by_leg(feet, legs), CYCLE_B, self.step.height, **more)
+        return Stage(name, self.step.time, values_by_leg(feet, legs), CYCLE_B, self.step.height, **more)
 
     def joint_angles(self, y: Array | float, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
         """Return the joint angles (rad) that put the feet there, for a base at y."""
@@ -106,33 +106,33 @@ class BeamWalk(Manoeuvre):
         At the end the middle legs are held where they are, since the law that levels them takes c_6/-c_5, 1.6 s in
         print.
         """
-        site = self.site(belief)
-        start = -belief.robot.body_length / 2 - 2 * site.step.landing
+        site = self.beam_geometry(belief)
+        start = -belief.robot.body_length / 2 - 2 * site.step.half_swing_length
         stages = [Stage("stand", STAND, posture=LEVEL_LEGS, flywheel=self.select_flywheel_mode(LEVELLING))]
-        stages += self.diagonal_stages(site, start, 2 * site.step.landing)
+        stages += self.diagonal_stages(site, start, 2 * site.step.half_swing_length)
         stages += [Stage("rest", STAND, flywheel=self.select_flywheel_mode(LEVELLING)), Stage("halt", STAND)]
         feet = jnp.where(IS_MIDDLE[:, None], site.stretched_feet(start), site.feet_at(start, site.track / 2))
         stance = Stance(feet, site.base_at(start), jnp.array(FACING_MINUS_Y))
-        return compile_plan(stance, stages, self.patience, self.gains(belief), steered=True)
+        return compile_plan(stance, stages, self.patience, self.flywheel_gains(belief), steered=True)
 
-    def site(self, belief: Case) -> BeamSite:
+    def beam_geometry(self, belief: Case) -> BeamGeometry:
         """Return the geometry of robot and beam, as believed."""
         length = belief.robot.body_length
-        step = Step.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.rate)
-        track = belief.obstacle_as(Beam).width - 2 * self.inset
-        return BeamSite(
-            belief.robot, belief.obstacle_as(Beam).height, self.height_ratio * length, track, self.deepening, step
+        step = GaitStep.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.rate)
+        track = belief.obstacle_of_type(Beam).width - 2 * self.inset
+        return BeamGeometry(
+            belief.robot, belief.obstacle_of_type(Beam).height, self.height_ratio * length, track, self.deepening, step
         )
 
-    def gains(self, belief: Case) -> Gains:
+    def flywheel_gains(self, belief: Case) -> FlywheelGains:
         """Return the gains of the flywheel."""
-        return Gains(self.c1, self.c2, self.c3, self.c4, self.c5, self.c6, belief.drive.back_emf)
+        return FlywheelGains(self.c1, self.c2, self.c3, self.c4, self.c5, self.c6, belief.drive.back_emf)
 
     def select_flywheel_mode(self, wanted: int) -> int:
         """Return the flywheel's mode: `wanted`, or `LOCKED` if the flywheel is off."""
         return wanted if self.flywheel == "on" else LOCKED
 
-    def diagonal_stages(self, site: BeamSite, start: Array | float, way: Array | float) -> list[Stage]:
+    def diagonal_stages(self, site: BeamGeometry, start: Array | float, way: Array | float) -> list[Stage]:
         """Return the stages of 2.6.2: diagonal pairs swing in turn, and the base follows while four feet stand.
 
         While a pair swings, the mass centre is over the line of the other two feet, which are beside their hips. While
@@ -178,10 +178,10 @@ class BeamCross(BeamWalk):
 
     def plan(self, belief: Case) -> Plan:
         """Return the plan: stand, approach, narrow track, legs out, across, legs down, wide track, depart, halt."""
-        site = self.site(belief)
+        site = self.beam_geometry(belief)
         reach = belief.robot.body_length / 2 + self.margin
-        far = -belief.obstacle_as(Beam).length - reach
-        start, stages = self.walk_up(site, reach)
+        far = -belief.obstacle_of_type(Beam).length - reach
+        start, stages = self.tripod_approach_stages(site, reach)
         stages += [
             *change_track_stages(site, reach, site.track, self.transfer_lift, "narrow"),
             *self.spread_stages(site, reach),
@@ -191,44 +191,46 @@ class BeamCross(BeamWalk):
             *change_track_stages(site, far, self.wide_track, self.transfer_lift, "wide"),
         ]
         stance = Stance(site.feet_at(far, self.wide_track / 2), site.base_at(far), jnp.array(FACING_MINUS_Y))
-        departure = self.tripod_stages(self.walking_site(site), stance, self.departure)
+        departure = self.tripod_stages(self.tripod_geometry(site), stance, self.departure)
         stages += [replace(stage, name=f"depart.{stage.name}") for stage in departure]
-        return compile_plan(start, [*stages, Stage("halt", STAND)], self.patience, self.gains(belief), steered=True)
+        return compile_plan(
+            start, [*stages, Stage("halt", STAND)], self.patience, self.flywheel_gains(belief), steered=True
+        )
 
-    def walk_up(self, site: BeamSite, y: Array | float) -> tuple[Stance, list[Stage]]:
+    def tripod_approach_stages(self, site: BeamGeometry, y: Array | float) -> tuple[Stance, list[Stage]]:
         """Return the start stance and the stages by tripod to a base at y, with the feet beside the hips in the end."""
-        site, forward = self.walking_site(site), jnp.array(FORWARD)
+        site, forward = self.tripod_geometry(site), jnp.array(FORWARD)
         step = site.step
-        first = y + 2 * step.landing * self.approach
+        first = y + 2 * step.half_swing_length * self.approach
         feet = site.feet_at(first, self.wide_track / 2) + initial_foot_offsets(TRIPOD, step, forward)
         start = Stance(feet, site.base_at(first), jnp.array(FACING_MINUS_Y))
         stages = [Stage("stand", STAND), *self.tripod_stages(site, start, self.approach)]
         goal = site.feet_at(y, self.wide_track / 2)
         return start, stages + [site.swing_stage(f"place.{'-'.join(map(str, legs))}", legs, goal) for legs in TRIPOD]
 
-    def walking_site(self, site: BeamSite) -> BeamSite:
+    def tripod_geometry(self, site: BeamGeometry) -> BeamGeometry:
         """Return the site with the step of the tripods."""
         return site._replace(step=site.step._replace(half_length=self.walk_step_ratio * site.robot.body_length))
 
-    def tripod_stages(self, site: BeamSite, start: Stance, number: int) -> list[Stage]:
+    def tripod_stages(self, site: BeamGeometry, start: Stance, number: int) -> list[Stage]:
         """Return regular swings on the wide track."""
         centres = site.feet_at(0.0, self.wide_track / 2) - site.base_at(0.0)
         return regular_steps(TRIPOD, site.step, start, centres, jnp.array(FORWARD), number, 0.0)
 
-    def spread_stages(self, site: BeamSite, y: Array | float) -> list[Stage]:
+    def spread_stages(self, site: BeamGeometry, y: Array | float) -> list[Stage]:
         """Return the stages of 2.6.1 in which the middle legs are lifted, moved outward and stretched."""
         raised, out = self.intermediate_angles(site, y)
-        return [*posture_stages(site, "out", (raised, out)), Stage("out.3", site.step.time, posture=LEVEL_LEGS)]
+        return [*middle_leg_stages(site, "out", (raised, out)), Stage("out.3", site.step.time, posture=LEVEL_LEGS)]
 
-    def fold_stages(self, site: BeamSite, y: Array | float) -> list[Stage]:
+    def fold_stages(self, site: BeamGeometry, y: Array | float) -> list[Stage]:
         """Return the stages of 2.6.3 in which the middle legs go back to the narrow track on the same path."""
         raised, out = self.intermediate_angles(site, y)
         feet = site.feet_at(y, site.track / 2)
-        angles = by_leg(site.joint_angles(y, feet), MIDDLE)
-        down = Stage("down.3", site.step.time, by_leg(feet, MIDDLE), posture=angles)
-        return [*posture_stages(site, "down", (out, raised)), down]
+        angles = values_by_leg(site.joint_angles(y, feet), MIDDLE)
+        down = Stage("down.3", site.step.time, values_by_leg(feet, MIDDLE), posture=angles)
+        return [*middle_leg_stages(site, "down", (out, raised)), down]
 
-    def intermediate_angles(self, site: BeamSite, y: Array | float) -> tuple[Array, Array]:
+    def intermediate_angles(self, site: BeamGeometry, y: Array | float) -> tuple[Array, Array]:
         """Return joint angles (6, 3) with feet lifted from the narrow track, and half bent outward of the hips."""
         lifted = site.feet_at(y, site.track / 2) + jnp.array([0.0, 0.0, 1.0]) * self.transfer_lift
         reach = site.robot.thigh + site.robot.shin
@@ -236,7 +238,7 @@ class BeamCross(BeamWalk):
 
 
 def change_track_stages(
-    site: BeamSite, y: Array | float, track: Array | float, lift: Array | float, name: str
+    site: BeamGeometry, y: Array | float, track: Array | float, lift: Array | float, name: str
 ) -> list[Stage]:
     """Return the stages of 2.6.1 and 2.6.3 in which the tripods in turn change their track, in planes across the body.
 
@@ -253,16 +255,20 @@ def change_track_stages(
     angles, stages = site.joint_angles(y, goal), []
     for legs in TRIPOD:
         label = f"{name}.{'-'.join(map(str, legs))}"
-        stages.append(Stage(f"{label}.over", site.step.time, posture=by_leg(over, legs)))
-        stages.append(Stage(f"{label}.down", site.step.time, by_leg(goal, legs), posture=by_leg(angles, legs)))
+        stages.append(Stage(f"{label}.over", site.step.time, posture=values_by_leg(over, legs)))
+        stages.append(
+            Stage(f"{label}.down", site.step.time, values_by_leg(goal, legs), posture=values_by_leg(angles, legs))
+        )
     return stages
 
 
-def posture_stages(site: BeamSite, name: str, angles: Sequence[Array]) -> list[Stage]:
+def middle_leg_stages(site: BeamGeometry, name: str, angles: Sequence[Array]) -> list[Stage]:
     """Return stages in which the middle legs go through postures."""
-    return [Stage(f"{name}.{k}", site.step.time, posture=by_leg(a, MIDDLE)) for k, a in enumerate(angles, start=1)]
+    return [
+        Stage(f"{name}.{k}", site.step.time, posture=values_by_leg(a, MIDDLE)) for k, a in enumerate(angles, start=1)
+    ]
 
 
-def by_leg(values: Float[Array, "6 3"], legs: Sequence[int]) -> dict[int, Array]:
+def values_by_leg(values: Float[Array, "6 3"], legs: Sequence[int]) -> dict[int, Array]:
     """Return feet or joint angles of some legs, by leg number."""
     return {leg: values[leg - 1] for leg in legs}

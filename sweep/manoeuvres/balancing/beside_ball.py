@@ -9,14 +9,14 @@ from collections.abc import Mapping
 
 from sweep.controllers.tracker import FeedbackLaw
 from sweep.core.parameters import count, parameters, quantity
-from sweep.manoeuvres.balancing.ball import BallDrive, OnBall
-from sweep.manoeuvres.balancing.parts import ByParts, SettleBall
+from sweep.manoeuvres.balancing.ball import BallDrive, OnBallManoeuvre
+from sweep.manoeuvres.balancing.parts import ManoeuvreInParts, SettleBallLaw
 
 CALM = "calm"  # law of steps that stop the ball
 
 
 @parameters
-class BesideBall(OnBall, ByParts):
+class BesideBallManoeuvre(OnBallManoeuvre, ManoeuvreInParts):
     """Base class with the foot grip on the ball and the law that stops it.
 
     These steps are tripods of `ball_drive` at v_d = 0, at most `calm` of them.
@@ -36,12 +36,12 @@ class BesideBall(OnBall, ByParts):
     patience: float = quantity(0.1, "s", at_least=0)  # longest wait for a touchdown
 
     @property
-    def calm_drive(self) -> BallDrive:
+    def stopping_drive(self) -> BallDrive:
         """The drive law that stops the ball."""
-        return self.make_drive(steps=self.calm, speed=0.0, step_time=self.step_time, speed_gain=self.speed_gain,
+        return self.make_ball_drive(steps=self.calm, speed=0.0, step_time=self.step_time, speed_gain=self.speed_gain,
                            aside_gain=self.aside_gain, aside_gain_before=self.aside_gain_before)  # fmt: skip
 
     @property
-    def parts(self) -> Mapping[str, FeedbackLaw]:
+    def feedback_laws(self) -> Mapping[str, FeedbackLaw]:
         """The feedback law that stops the ball."""
-        return {CALM: SettleBall(self.calm_drive, self.calm_speed, math.inf)}
+        return {CALM: SettleBallLaw(self.stopping_drive, self.calm_speed, math.inf)}

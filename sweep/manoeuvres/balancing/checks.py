@@ -18,7 +18,7 @@ from sweep.controllers.plan import Stage, stage_end_stances
 from sweep.core.rotations import rotate
 from sweep.formulas.leg import SIDE_BY_LEG
 from sweep.models.case import Case
-from sweep.models.frames import body_frame, koenig_frame
+from sweep.models.frames import body_frame_number, koenig_frame_number
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.two_balls import TwoBalls
 from sweep.models.posture import Stance, feet_in_hip_axes, leg_mounts
@@ -37,7 +37,7 @@ class CheckLimits(NamedTuple):
     above: Array | float  # m, least clearance of the base over the balls
 
 
-class StageFeet(NamedTuple):
+class FeetOverStages(NamedTuple):
     """Feet of S stages: which swing, the stage in which each took its place (-1: the start), and centres of balls."""
 
     swing: Bool[np.ndarray, "s 6"]
@@ -45,7 +45,7 @@ class StageFeet(NamedTuple):
     centre: Float[Array, "s 6 3"]  # m
 
 
-def apply_checks(belief: Case, start: Stance, stages: Sequence[Stage], limits: CheckLimits) -> list[Stage]:
+def correct_stages(belief: Case, start: Stance, stages: Sequence[Stage], limits: CheckLimits) -> list[Stage]:
     """Return stages that keep the limits, wherever the corrections of the book can achieve that.
 
     Check 3: a foot that limits where the mass centre may be is set farther along the ball. Check 5: a base that moves
@@ -59,12 +59,12 @@ def apply_checks(belief: Case, start: Stance, stages: Sequence[Stage], limits: C
         stages: the stages in order.
         limits: limits to keep.
     """
-    robot, free = belief.robot, belief.obstacle_as(TwoBalls).start()
+    robot, free = belief.robot, belief.obstacle_of_type(TwoBalls).start()
     plan = compile_plan(start, stages, 0.0)
     swing = np.array([[leg in stage.swing for leg in LEGS] for stage in stages])
     since = np.maximum.accumulate(np.where(swing, np.arange(len(stages))[:, None], -1))
-    second = np.isin([stage.foot_frames for stage in stages], (koenig_frame(1), body_frame(1)))
-    steps = StageFeet(swing, since, jnp.where(second[..., None], free.position[1], free.position[0]))
+    second = np.isin([stage.foot_frames for stage in stages], (koenig_frame_number(1), body_frame_number(1)))
+    steps = FeetOverStages(swing, since, jnp.where(second[..., None], free.position[1], free.position[0]))
     planned = stances = stage_end_stances(plan, free)
     for _ in range(ROUNDS):
         stances = _set_feet_farther(robot, stances, steps, limits)
@@ -106,7 +106,7 @@ def next_support(swing: Bool[Array, "s 6"] | np.ndarray) -> Bool[Array, "s 6"]:
     return jnp.where(swings, ~swing, ~following)
 
 
-def _set_feet_farther(robot: Robot, stances: Stance, steps: StageFeet, limits: CheckLimits) -> Stance:
+def _set_feet_farther(robot: Robot, stances: Stance, steps: FeetOverStages, limits: CheckLimits) -> Stance:
     """Check 3: where the support margin of a swing is too small, move the outermost standing feet farther out."""
     stands, ahead = ~steps.swing, stances.feet[..., 0]
     lacks = jnp.where(steps.swing.any(axis=1), limits.spare - mass_centre_margins(robot, stances, stands), 0.0)
@@ -131,7 +131,7 @@ def _set_feet_farther(robot: Robot, stances: Stance, steps: StageFeet, limits: C
     return stances._replace(feet=jnp.where((shift != 0)[..., None], moved, stances.feet))
 
 
-def _move_base_on(robot: Robot, stances: Stance, start: Stance, steps: StageFeet, limits: CheckLimits) -> Stance:
+def _move_base_on(robot: Robot, stances: Stance, start: Stance, steps: FeetOverStages, limits: CheckLimits) -> Stance:
     """Check 5: where the margin is too small, move the base further along its motion."""
     moves = ~steps.swing.any(axis=1)
     front, rear = limits.spare - mass_centre_margins(robot, stances, next_support(steps.swing))
@@ -144,7 +144,7 @@ def _move_base_on(robot: Robot, stances: Stance, start: Stance, steps: StageFeet
 
 def _lower_base(belief: Case, stances: Stance, limits: CheckLimits) -> Stance:
     """Check 2: lower the base where a leg would be too long, while it stays above the balls."""
-    robot, balls = belief.robot, belief.obstacle_as(TwoBalls)
+    robot, balls = belief.robot, belief.obstacle_of_type(TwoBalls)
     level, down = _leg_extents(robot, stances)
     most = limits.straight * (robot.thigh + robot.shin)
     shift = jnp.max(down - jnp.sqrt(jnp.maximum(most**2 - level**2, 0.0)), axis=1)
@@ -156,7 +156,7 @@ def _lower_base(belief: Case, stances: Stance, limits: CheckLimits) -> Stance:
     return stances._replace(position=jnp.where((shift > 0)[:, None], lowered, stances.position))
 
 
-def _set_feet_nearer(robot: Robot, stances: Stance, steps: StageFeet, limits: CheckLimits) -> Stance:
+def _set_feet_nearer(robot: Robot, stances: Stance, steps: FeetOverStages, limits: CheckLimits) -> Stance:
     """Check 2: move a foot that is still too far to where its leg reaches the ball, in the vertical plane along x."""
     hips = stances.position[:, None] + rotate(stances.quat[:, None], leg_mounts(robot).hips)
     feet, to_hip = stances.feet - steps.centre, hips - steps.centre

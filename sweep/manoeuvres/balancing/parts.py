@@ -12,51 +12,51 @@ from jaxtyping import Array, Bool
 
 from sweep.controllers.layers import TickContext
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import Plan, Stage, Support, is_under_law, reference_stance
+from sweep.controllers.plan import Plan, Stage, SupportMotion, is_guided_by_law, reference_stance
 from sweep.controllers.tracker import FeedbackLaw, Guidance, TrackerState
 from sweep.manoeuvres.balancing.ball import BallDrive, DriveMemory
 from sweep.models.case import Case, Manoeuvre
-from sweep.models.frames import WORLD_FRAME, koenig_frame
+from sweep.models.frames import WORLD_FRAME, koenig_frame_number
 from sweep.models.obstacles.surface import FreeState
 
 
-class ByParts(Manoeuvre, ABC):
+class ManoeuvreInParts(Manoeuvre, ABC):
     """Base class of manoeuvres whose stages are guided by the law that each names, or by the plan."""
 
     @property
     @abstractmethod
-    def parts(self) -> Mapping[str, FeedbackLaw]:
+    def feedback_laws(self) -> Mapping[str, FeedbackLaw]:
         """The feedback of the stages under each law, by the law's name."""
 
     def init_memory(self, belief: Case, plan: Plan) -> dict[str, Any]:
         """Return the states of all parts, by law."""
-        return {name: part.init_memory(belief, plan) for name, part in self.parts.items()}
+        return {name: part.init_memory(belief, plan) for name, part in self.feedback_laws.items()}
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
         """Return the guidance of the law of the current part, or of the plan."""
         plan, stage = ctx.plan, ctx.stage
         stance, goal = reference_stance(plan, stage, ctx.phase, state.feet, state.position), plan.foothold[stage]
         memory = dict(state.memory)
-        for name, part in self.parts.items():
+        for name, part in self.feedback_laws.items():
             guidance = part.guide(belief, ctx, state._replace(memory=state.memory[name]))
-            leads, unchanged = is_under_law(plan, stage, name), (stance, goal, state.memory[name])
+            leads, unchanged = is_guided_by_law(plan, stage, name), (stance, goal, state.memory[name])
             stance, goal, memory[name] = jax.tree.map(partial(jnp.where, leads), tuple(guidance), unchanged)
         return Guidance(stance, goal, memory)
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
         """Return whether the law of the current part ends the stage."""
         is_over = jnp.asarray(False)
-        for name, part in self.parts.items():
+        for name, part in self.feedback_laws.items():
             if part.ends_stages:
                 part_state = state._replace(memory=state.memory[name])
                 is_over = is_over | (
-                    is_under_law(plan, state.stage, name) & part.is_stage_over(belief, plan, part_state, obs)
+                    is_guided_by_law(plan, state.stage, name) & part.is_stage_over(belief, plan, part_state, obs)
                 )
         return is_over
 
 
 @dataclass(frozen=True)
-class DriveUntil(ABC):
+class DriveUntilArrivalLaw(ABC):
     """Base class of laws that roll a ball by the steps of a drive until it has arrived."""
 
     drive: BallDrive
@@ -85,7 +85,7 @@ class DriveUntil(ABC):
 
 
 @dataclass(frozen=True)
-class SettleBall(DriveUntil):
+class SettleBallLaw(DriveUntilArrivalLaw):
     """Law that drives a ball until it is nearly at rest at its place."""
 
     calm: Array | float  # m/s, largest speed of a calm ball
@@ -117,18 +117,18 @@ class SingleBallLaw:
         """Return whether the law ends the stage, as if there were no other ball."""
         return self.law.is_stage_over(belief, plan, state, self._obs_of_ball(obs))
 
-    def stages_on_ball(self, single_ball_stages: Sequence[Stage]) -> list[Stage]:
+    def retarget_stages(self, single_ball_stages: Sequence[Stage]) -> list[Stage]:
         """Return stages that were made for a single ball, for this ball."""
 
         def frame_on_ball(frame: int) -> int:
-            return frame if frame == WORLD_FRAME else frame + koenig_frame(self.ball) - koenig_frame(0)
+            return frame if frame == WORLD_FRAME else frame + koenig_frame_number(self.ball) - koenig_frame_number(0)
 
         return [
             replace(
                 stage,
                 foot_frames=tuple(map(frame_on_ball, stage.foot_frames)),
                 base_frame=frame_on_ball(stage.base_frame),
-                support=(Support(),) * self.ball + stage.support if stage.support else (),
+                support=(SupportMotion(),) * self.ball + stage.support if stage.support else (),
             )
             for stage in single_ball_stages
         ]

@@ -18,19 +18,19 @@ from sweep.models.case import Case
 from sweep.models.obstacles.charts import rearing_base_chart
 from sweep.models.obstacles.corner import Corner
 from sweep.models.posture import Stance
-from sweep.models.robot import leg_unit
+from sweep.models.robot import length_unit
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.forces import PlannedForces
-from sweep.planning.gaits import Step
+from sweep.planning.gaits import GaitStep
 from sweep.planning.moves import MoveContext, StandingState, initial_stance, part_stages
 from sweep.planning.symmetry import apply_direction
 
 
 @parameters
-class OnCorner(PlannedForces):
+class CornerManoeuvre(PlannedForces):
     """Base class of manoeuvres on a corner. Ratios are to a_r.
 
-    Here a_r is `leg_unit` where legs have to reach, and the body's length for the rise of a gallop and steps on a roof.
+    Here a_r is `length_unit` where legs have to reach, and the body's length for the rise of a gallop and roof steps.
     The book measures everything by the body; legs shorter than the body suggests then do not reach their footholds.
     """
 
@@ -62,8 +62,8 @@ class OnCorner(PlannedForces):
 
         The chart `edges` is for a base that pitches up before the corner.
         """
-        unit = leg_unit(belief.robot)
-        step = Step.from_ratios(unit, self.half_step_ratio, self.lift_ratio, self.rate)
+        unit = length_unit(belief.robot)
+        step = GaitStep.from_ratios(unit, self.half_step_ratio, self.lift_ratio, self.rate)
         return MoveContext(
             belief, unit, step.time, step.height, extra_charts={"edges": rearing_base_chart(belief.robot.body_length)}
         )
@@ -78,17 +78,17 @@ class OnCorner(PlannedForces):
 
     def plan(self, belief: Case) -> Plan:
         """Return the plan with its forces: stand, the route, halt."""
-        start, stages = self.route(belief)
+        start, stages = self.route_stages(belief)
         stages = [Stage("stand", STAND), *self.with_load_transfer(stages), Stage("halt", STAND)]
         return self.with_feedforward(belief, apply_direction(belief, compile_plan(start, stages, self.patience)))
 
     @abstractmethod
-    def route(self, belief: Case) -> tuple[Stance, list[Stage]]:
+    def route_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """Return the start stance and the stages after it."""
 
 
 @parameters
-class CornerClimb(OnCorner):
+class CornerClimb(CornerManoeuvre):
     """Climb on to the corner and up it by the modified gallop.
 
     Forces are planned (`PlannedForces`), where the book presses the feet into the walls by a fixed depth: before every
@@ -101,6 +101,6 @@ class CornerClimb(OnCorner):
     kind: str = choice("corner_climb", "corner_climb")
     rise_ratio: float = quantity(0.14, "a_r", at_least=0, at_most=100)  # rise of the whole gallop
 
-    def route(self, belief: Case) -> tuple[Stance, list[Stage]]:
+    def route_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """Return the start stance and the stages to the end of the gallop."""
         return self.climb_stages(belief)[:2]

@@ -2,7 +2,7 @@
 
 World axes as in `corner`. The roof is a wedge: at a distance d behind its tip it is 2 d tan psi wide.
 
-The part `roof` of the plan file replaces the printed sequence of events (table 2.1). Its lengths are in `leg_unit`s:
+The part `roof` of the plan file replaces the printed sequence of events (table 2.1). Its lengths are in `length_unit`s:
 measured by the body, they would be out of reach for robots with legs 2 % shorter than the body suggests.
 """
 
@@ -18,13 +18,13 @@ from sweep.controllers.plan import CYCLE_B_SMOOTH, SMOOTH, Stage
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas.leg import SIDE_BY_LEG
-from sweep.manoeuvres.climbing.corner import OnCorner
+from sweep.manoeuvres.climbing.corner import CornerManoeuvre
 from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
-from sweep.models.obstacles.charts import point
+from sweep.models.obstacles.charts import stack_point
 from sweep.models.obstacles.corner import Corner
 from sweep.models.posture import Stance
-from sweep.models.robot import leg_unit
+from sweep.models.robot import length_unit
 from sweep.planning.gaits import TRIPOD
 from sweep.planning.moves import part_stages, read_moves
 from sweep.planning.plan_table import SIZES, evaluate_plan
@@ -36,7 +36,7 @@ NARROWEST = 0.28  # a_r, least half distance between a pair's feet on the roof
 
 
 @parameters
-class CornerRoof(OnCorner):
+class CornerRoof(CornerManoeuvre):
     """From the floor on to the corner, up it, and over the edge on to the roof.
 
     For houses that reach above the front feet at the start of the gallop, which covers the rest in `cycles`.
@@ -48,7 +48,7 @@ class CornerRoof(OnCorner):
 
     default_plan_name = "corner_roof"
 
-    def route(self, belief: Case) -> tuple[Stance, list[Stage]]:
+    def route_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """Return the start stance and the stages: climb until the front feet are below the edge, and get over it.
 
         If the height varies in a study, plans of rows in which the house is too low are not a number, hence invalid.
@@ -61,7 +61,7 @@ class CornerRoof(OnCorner):
             raise InputError(f"plan.{SIZES}.rise is missing")
         rise = sizes["rise"]
         if not isinstance(rise, Tracer):
-            unit = leg_unit(belief.robot)
+            unit = length_unit(belief.robot)
             self.validate(belief, float(rise * unit), float(MOST_RISE * belief.robot.body_length))
         changed_plan = belief.plan.with_increment(f"{SIZES}.rise", jnp.where(rise >= 0, 0.0, jnp.nan))
         start, stages, standing = self.climb_stages(replace(belief, plan=changed_plan))
@@ -79,7 +79,7 @@ class CornerRoof(OnCorner):
         Raises:
             InputError: the house is too low, or too high for the cycles.
         """
-        top, needed = belief.obstacle_as(Corner).height, math.ceil(rise / most)
+        top, needed = belief.obstacle_of_type(Corner).height, math.ceil(rise / most)
         if rise < 0:
             least = math.ceil(100 * (top - rise)) / 100
             raise InputError(
@@ -100,9 +100,9 @@ class CornerFull(CornerRoof):
     # motion of the base in each swing, from the third on
     roof_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.3)
 
-    def route(self, belief: Case) -> tuple[Stance, list[Stage]]:
+    def route_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """Return the start stance and the stages: on to the roof, and some steps on."""
-        start, stages = super().route(belief)
+        start, stages = super().route_stages(belief)
         return start, [*stages, *self.roof_stages(belief)]
 
     def roof_stages(self, belief: Case) -> list[Stage]:
@@ -114,10 +114,10 @@ class CornerFull(CornerRoof):
         context, stages, length = self.move_context(belief), [], belief.robot.body_length
         stride, height = (
             self.roof_step_ratio * length,
-            belief.obstacle_as(Corner).height + self.height_ratio * context.unit,
+            belief.obstacle_of_type(Corner).height + self.height_ratio * context.unit,
         )
         *_, last = read_moves(belief, "roof").values()
-        base = context.base(last.base, last.path)[0][1]
+        base = context.base_pose_at(last.base, last.path)[0][1]
         for k in range(self.steps):
             advance = stride if k >= len(TRIPOD) else 0.0
             base = base - advance
@@ -126,7 +126,7 @@ class CornerFull(CornerRoof):
                 hip = base - advance / 2 + (1 - (leg - 1) // 2) * length / 2
                 swing[leg] = roof_foothold(belief, leg, hip, self.floor_track_ratio * context.unit)
             stages.append(Stage(f"on{k + 1}", context.time, swing, CYCLE_B_SMOOTH, context.lift, pace=SMOOTH,
-                                position=point(0.0, base, height)))  # fmt: skip
+                                position=stack_point(0.0, base, height)))  # fmt: skip
         return stages
 
 
@@ -139,7 +139,7 @@ def roof_foothold(belief: Case, leg: int, y: Array | float, aside: Array | float
         y: of the hip (m).
         aside: distance from the middle of the roof (m), at most.
     """
-    slope, length = jnp.tan(belief.obstacle_as(Corner).half_angle), belief.robot.body_length
+    slope, length = jnp.tan(belief.obstacle_of_type(Corner).half_angle), belief.robot.body_length
     y = jnp.minimum(y, -BRINK * length - NARROWEST * length / slope)
     aside = jnp.minimum(aside, slope * (-y - BRINK * length))
-    return point(float(SIDE_BY_LEG[leg - 1]) * aside, y, belief.obstacle_as(Corner).height)
+    return stack_point(float(SIDE_BY_LEG[leg - 1]) * aside, y, belief.obstacle_of_type(Corner).height)

@@ -13,17 +13,17 @@ from sweep.controllers.plan import Plan, Stage
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas.ladder import ladder as statics
-from sweep.fused.numbers import evaluate_numbers
+from sweep.fused.numbers import evaluate_plain_numbers
 from sweep.manoeuvres.climbing.walking import approach_stages, departure_stages
 from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
-from sweep.models.obstacles.charts import point
+from sweep.models.obstacles.charts import stack_point
 from sweep.models.obstacles.ladder import Ladder
-from sweep.models.robot import leg_unit, total_mass
+from sweep.models.robot import length_unit, total_mass
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.forces import MIN_SLACK, PlannedForces
-from sweep.planning.gaits import Step
+from sweep.planning.gaits import GaitStep
 from sweep.planning.moves import MoveContext, initial_stance, part_stages, read_moves
 from sweep.planning.symmetry import apply_direction
 from sweep.planning.validation import are_plain_numbers, require_within_reach, stances_at_stage_ends
@@ -69,13 +69,13 @@ class LadderClimb(PlannedForces):
             InputError: the ladder cannot be climbed.
         """
         self.validate(belief)
-        return self.with_feedforward(belief, self.route(belief))
+        return self.with_feedforward(belief, self.plan_without_forces(belief))
 
-    def route(self, belief: Case) -> Plan:
+    def plan_without_forces(self, belief: Case) -> Plan:
         """Return the plan without its forces."""
-        ladder, robot = belief.obstacle_as(Ladder), belief.robot
-        length, unit = robot.body_length, leg_unit(robot)
-        step = Step.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.rate)
+        ladder, robot = belief.obstacle_of_type(Ladder), belief.robot
+        length, unit = robot.body_length, length_unit(robot)
+        step = GaitStep.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.rate)
         context = MoveContext(belief, unit, step.time, 0.0, dict.fromkeys(ladder.charts, self.deepening))
         height, spread = self.height_ratio * unit, self.spread_ratio * length
         places, arrival, standing = initial_stance("arrive", context)
@@ -83,7 +83,7 @@ class LadderClimb(PlannedForces):
             belief, step, arrival, spread, dict(zip(LEGS, places, strict=True)), self.steps, GAP * unit
         )
         climb, _ = part_stages("climb", context, standing)
-        last = point(0.0, -AWAY * unit, ladder.ledge_height + height)
+        last = stack_point(0.0, -AWAY * unit, ladder.ledge_height + height)
         settle, depart = departure_stages(belief, step, last, spread, height, self.steps_away)
         stages = [
             Stage("settle", self.settle),
@@ -100,7 +100,7 @@ class LadderClimb(PlannedForces):
         Raises:
             InputError: the ladder slides, lacks rungs or is out of reach.
         """
-        ladder, robot, contact = belief.obstacle_as(Ladder), belief.robot, belief.contact
+        ladder, robot, contact = belief.obstacle_of_type(Ladder), belief.robot, belief.contact
         if not are_plain_numbers(robot, ladder, contact, self):
             return
         ladder.check()
@@ -111,9 +111,9 @@ class LadderClimb(PlannedForces):
                 f"obstacle.rungs = {ladder.rungs} is not allowed: at least {needs} for the moves of part climb"
             )
         grips = [contact.friction * grip for grip in (ladder.floor_grip, ladder.wall_grip)]
-        bears = evaluate_numbers(lambda: statics(jnp.asarray(ladder.lean), *map(jnp.asarray, grips)).chi_max)
+        bears = evaluate_plain_numbers(lambda: statics(jnp.asarray(ladder.lean), *map(jnp.asarray, grips)).chi_max)
         mass = float(total_mass(robot))
-        load = (mass + ladder.mass * ladder.centre / ladder.length) / (mass + ladder.mass)
+        load = (mass + ladder.mass * ladder.mass_centre_distance / ladder.length) / (mass + ladder.mass)
         if not bears >= load:
             raise InputError(
                 f"obstacle.lean = {ladder.lean:g} is not allowed: with friction {grips[0]:g} on the floor and "
@@ -121,7 +121,7 @@ class LadderClimb(PlannedForces):
             )
         require_within_reach(
             belief,
-            lambda: stances_at_stage_ends(self.route(belief), ladder.start()),
+            lambda: stances_at_stage_ends(self.plan_without_forces(belief), ladder.start()),
             f"obstacle.ledge_height = {ladder.ledge_height:g} is not allowed with obstacle.length = {ladder.length:g} "
             f"and obstacle.rung_step = {ladder.rung_step:g}: ",
         )

@@ -17,10 +17,10 @@ from sweep.models.legs import LEGS
 from sweep.models.obstacles.charts import edge_chart, rearing_base_chart
 from sweep.models.obstacles.pole_ledge import PoleLedge
 from sweep.models.posture import Stance
-from sweep.models.robot import leg_unit
+from sweep.models.robot import length_unit
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.forces import PlannedForces
-from sweep.planning.gaits import Step
+from sweep.planning.gaits import GaitStep
 from sweep.planning.moves import MoveContext, StandingState, initial_stance, part_stages
 from sweep.planning.symmetry import apply_direction
 
@@ -66,16 +66,16 @@ class PoleManoeuvre(PlannedForces):
     needs = (PoleLedge,)
     default_plan_name = "pole"
 
-    def regular_step(self, belief: Case) -> Step:
+    def regular_step(self, belief: Case) -> GaitStep:
         """Return the step of the approach; swings on the pole are as long and as high."""
-        return Step.from_ratios(leg_unit(belief.robot), self.half_step_ratio, self.lift_ratio, self.rate)
+        return GaitStep.from_ratios(length_unit(belief.robot), self.half_step_ratio, self.lift_ratio, self.rate)
 
     def move_context(self, belief: Case) -> MoveContext:
         """Return the charts and directions that moves of the plan file refer to.
 
         The chart `edges` is for a base that pitches up before the pole, `hang` for one that is upright beside it.
         """
-        unit, step = leg_unit(belief.robot), self.regular_step(belief)
+        unit, step = length_unit(belief.robot), self.regular_step(belief)
         hang = edge_chart(lambda pole: (pole.radius + self.gap_ratio * unit, pole.height))
         charts = {"edges": rearing_base_chart(belief.robot.body_length), "hang": hang}
         return MoveContext(belief, unit, step.time, step.height, {"side": self.deepening}, charts, laws=(PRESS,))
@@ -95,9 +95,9 @@ class PoleManoeuvre(PlannedForces):
         )
         climb, standing = part_stages("climb", context, standing, "")
         gallop, standing = part_stages("gallop", context, standing, "gallop")
-        return start, [Stage("stand", STAND), *walk, *self.with_rests([*climb, *gallop])], standing
+        return start, [Stage("stand", STAND), *walk, *self.insert_load_transfer_rests([*climb, *gallop])], standing
 
-    def with_rests(self, stages: list[Stage]) -> list[Stage]:
+    def insert_load_transfer_rests(self, stages: list[Stage]) -> list[Stage]:
         """Return the stages, with a rest for load transfer before each of them if forces are planned."""
         return self.with_load_transfer(stages) if self.forces == "planned" else stages
 
@@ -112,10 +112,10 @@ class PoleClimb(PoleManoeuvre):
 
     def plan(self, belief: Case) -> Plan:
         """Return the plan: the climb and a halt, with its forces if they are planned."""
-        start, stages = self.route(belief)
+        start, stages = self.route_stages(belief)
         plan = apply_direction(belief, compile_plan(start, [*stages, Stage("halt", STAND)], self.patience))
         return self.with_feedforward(belief, plan) if self.forces == "planned" else plan
 
-    def route(self, belief: Case) -> tuple[Stance, list[Stage]]:
+    def route_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """Return the start stance and the stages of the climb."""
         return self.climb_stages(belief)[:2]

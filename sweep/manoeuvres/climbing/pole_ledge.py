@@ -16,8 +16,8 @@ Differences from the printed plans, and their reasons:
   that keep neighbouring legs apart. Printed are three or two times, with the middle feet at 0.3 to 0.4 a_r in the end.
 - The rear feet go half-way over the top, 0.27 r ahead, before they go to the ledge (printed: where the middle feet
   stood).
-- Lengths are in `leg_unit`s, nominally a_r. Measured by the body, they would be out of reach for robots with legs 2 %
-  shorter than the body suggests.
+- Lengths are in `length_unit`s, nominally a_r. Measured by the body, they would be out of reach for robots with legs
+  2 % shorter than the body suggests.
 - Stages take 1.5 to 2 t*, and swings follow Bezier curves that come down from above.
 """
 
@@ -29,7 +29,7 @@ from sweep.manoeuvres.climbing.pole_top import PoleTop
 from sweep.manoeuvres.climbing.walking import departure_stages
 from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
-from sweep.models.obstacles.charts import point
+from sweep.models.obstacles.charts import stack_point
 from sweep.models.obstacles.pole_ledge import PoleLedge
 from sweep.models.posture import Stance
 from sweep.planning.moves import part_stages
@@ -50,12 +50,12 @@ class PoleToLedge(PoleTop):
         """Name of the plan file for a ledge level with the top, above or below it."""
         return f"pole_ledge_{self.across}"
 
-    def route(self, belief: Case) -> tuple[Stance, list[Stage]]:
+    def route_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """Return the start stance and the stages: on to the top, across to the ledge, away."""
         start, stages, standing = self.top_stages(belief)
-        context, pole = self.move_context(belief), belief.obstacle_as(PoleLedge)
+        context, pole = self.move_context(belief), belief.obstacle_of_type(PoleLedge)
         cross, _ = part_stages("ledge", context, standing)
         height, spread = self.height_ratio * context.unit, self.spread_ratio * context.unit
-        last = point(0.0, -pole.radius - 0.75 * context.unit, pole.ledge_height + height)
+        last = stack_point(0.0, -pole.radius - 0.75 * context.unit, pole.ledge_height + height)
         away, walk = departure_stages(belief, self.regular_step(belief), last, spread, height, self.steps_away)
-        return start, [*stages, *self.with_rests([*cross, *away]), *walk]
+        return start, [*stages, *self.insert_load_transfer_rests([*cross, *away]), *walk]

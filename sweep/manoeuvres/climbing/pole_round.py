@@ -16,12 +16,12 @@ from sweep.core.rotations import exponential, rotate
 from sweep.manoeuvres.climbing.pole import PoleManoeuvre
 from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
-from sweep.models.obstacles.charts import point
+from sweep.models.obstacles.charts import stack_point
 from sweep.models.obstacles.pole_ledge import PoleLedge
 from sweep.models.posture import Stance
-from sweep.models.robot import leg_unit
+from sweep.models.robot import length_unit
 from sweep.planning.compile_plan import compile_plan
-from sweep.planning.gaits import GALLOP, Step
+from sweep.planning.gaits import GALLOP, GaitStep
 from sweep.planning.plan_table import SIZES
 from sweep.planning.symmetry import join_plans, last_stance, mirror_plan, reverse_in_time
 
@@ -47,23 +47,25 @@ class PoleRound(PoleManoeuvre):
         """Return the plan: climb, go round the pole, and descend by the reversed climb from the ledge."""
         step, ledge, away = (
             self.regular_step(belief),
-            belief.obstacle_as(PoleLedge).ledge_height,
+            belief.obstacle_of_type(PoleLedge).ledge_height,
             replace(self, cycles=self.down_cycles),
         )
         # The gap of x* keeps the front feet on the ledge: without it they would stand beside the pole, beyond its edge.
-        start, stages, _ = away.climb_stages(replace(belief, manoeuvre=away), step.landing)
+        start, stages, _ = away.climb_stages(replace(belief, manoeuvre=away), step.half_swing_length)
         from_ledge = compile_plan(start, stages, self.patience)
-        rise = (ledge + 3 * self.down_cycles * step.landing) / (3 * self.cycles * leg_unit(belief.robot))
+        rise = (ledge + 3 * self.down_cycles * step.half_swing_length) / (3 * self.cycles * length_unit(belief.robot))
         start, stages, _ = self.climb_stages(replace(belief, plan=belief.plan.with_value(f"{SIZES}.rise", rise)))
         up = compile_plan(start, stages, self.patience)
         top = last_stance(up)
         across = compile_plan(top, [Stage("hang", STAND), *half_turn_stages(step, top)], self.patience)
-        down = transform_plan(reverse_in_time(from_ledge), exponential(jnp.array(HALF_TURN)), point(0.0, 0.0, ledge))
+        down = transform_plan(
+            reverse_in_time(from_ledge), exponential(jnp.array(HALF_TURN)), stack_point(0.0, 0.0, ledge)
+        )
         plan = join_plans(up, across, down)
         return plan if self.side == "left" else mirror_plan(plan, np.array([1.0, 0.0, 0.0]))
 
 
-def half_turn_stages(step: Step, start: Stance) -> list[Stage]:
+def half_turn_stages(step: GaitStep, start: Stance) -> list[Stage]:
     """Return the stages of 2.3.6: pairs of feet go round the pole by `STEP` in turn, while the base goes round evenly.
 
     Printed for tripods. The three standing feet then press unevenly, since the base turns a little while only three
@@ -77,7 +79,7 @@ def half_turn_stages(step: Step, start: Stance) -> list[Stage]:
     """
     feet, position = start.feet, start.position
     advance = STEP / len(GALLOP)
-    axis, turn = point(0.0, 0.0, position[2]), point(0.0, 0.0, advance)
+    axis, turn = stack_point(0.0, 0.0, position[2]), stack_point(0.0, 0.0, advance)
     stages = []
     for k in range(round(np.pi / advance)):
         legs = GALLOP[k % 3]
@@ -94,4 +96,4 @@ def half_turn_stages(step: Step, start: Stance) -> list[Stage]:
 
 def turn_about_pole(place: Array, angle: float) -> Array:
     """Return a point (m) turned about the pole's axis by an angle (rad)."""
-    return rotate(exponential(point(0.0, 0.0, angle)), place)
+    return rotate(exponential(stack_point(0.0, 0.0, angle)), place)

@@ -34,8 +34,8 @@ class PoleTop(PoleClimb):
         for part in ("edge", "over", "top"):
             stages_of_part, standing = part_stages(part, context, standing)
             stages += [stage for stage in stages_of_part if stage.law != PRESS or self.forces != "planned"]
-        return start, [*climb, *self.with_rests(stages)], standing
+        return start, [*climb, *self.insert_load_transfer_rests(stages)], standing
 
-    def route(self, belief: Case) -> tuple[Stance, list[Stage]]:
+    def route_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """Return the start stance and the stages until the robot stands on the top."""
         return self.top_stages(belief)[:2]

@@ -11,10 +11,10 @@ from sweep.controllers.plan import CYCLE_B, Stage
 from sweep.core.rotations import IDENTITY, rotate
 from sweep.models.case import Case
 from sweep.models.posture import Stance, foot_centres
-from sweep.planning.gaits import TRIPOD, Step, initial_foot_offsets, regular_steps
+from sweep.planning.gaits import TRIPOD, GaitStep, initial_foot_offsets, regular_steps
 
 
-class Facing(NamedTuple):
+class WalkingDirection(NamedTuple):
     """Direction in which a robot looks and walks."""
 
     quat: tuple[float, float, float, float]  # base to world
@@ -22,13 +22,13 @@ class Facing(NamedTuple):
 
 
 FACING_MINUS_Y = (0.5**0.5, 0.0, 0.0, -(0.5**0.5))  # base to world: x axis of the base along -y, z axis up
-ALONG_Y = Facing(FACING_MINUS_Y, (0.0, -1.0, 0.0))
-AHEAD = Facing(IDENTITY, (1.0, 0.0, 0.0))
+ALONG_Y = WalkingDirection(FACING_MINUS_Y, (0.0, -1.0, 0.0))
+AHEAD = WalkingDirection(IDENTITY, (1.0, 0.0, 0.0))
 REST_TO_REST = (0.0, 0.0)  # rates of a base path that starts and ends at rest, as swings do
 
 
 def foot_centres_facing(
-    belief: Case, spread: Array | float, height: Array | float, facing: Facing = ALONG_Y
+    belief: Case, spread: Array | float, height: Array | float, facing: WalkingDirection = ALONG_Y
 ) -> Float[Array, "6 3"]:
     """Return the feet relative to the base (m), world axes, at a fixed offset from their hips.
 
@@ -43,7 +43,7 @@ def foot_centres_facing(
 
 def approach_stages(
     belief: Case,
-    step: Step,
+    step: GaitStep,
     arrival: Float[Array, " 3"],
     spread: Array | float,
     places: Mapping[int, Array],
@@ -64,7 +64,7 @@ def approach_stages(
         gap: m.
     """
     forward, home = jnp.array(ALONG_Y.forward), foot_centres_facing(belief, spread, arrival[2])
-    position = arrival - (gap + 2 * step.landing * steps) * forward
+    position = arrival - (gap + 2 * step.half_swing_length * steps) * forward
     feet = position + home + initial_foot_offsets(TRIPOD, step, forward)
     start = Stance(feet, position, jnp.array(FACING_MINUS_Y))
     stages = regular_steps(TRIPOD, step, start, home, forward, steps, 0.0)
@@ -78,12 +78,12 @@ def approach_stages(
 
 def departure_stages(
     belief: Case,
-    step: Step,
+    step: GaitStep,
     position: Float[Array, " 3"],
     spread: Array | float,
     clearance: Array | float,
     steps: int,
-    facing: Facing = ALONG_Y,
+    facing: WalkingDirection = ALONG_Y,
 ) -> tuple[list[Stage], list[Stage]]:
     """Return the stages that bring the feet into a tripod gait, and those of walking away.
 

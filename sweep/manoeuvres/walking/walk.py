@@ -14,7 +14,7 @@ from sweep.models.case import Case, Manoeuvre
 from sweep.models.obstacles.plane import Plane
 from sweep.models.posture import Stance, foot_centres
 from sweep.planning.compile_plan import compile_plan
-from sweep.planning.gaits import GAITS, MEANINGS, Step, initial_foot_offsets, regular_steps
+from sweep.planning.gaits import GAITS, MEANINGS, GaitStep, initial_foot_offsets, regular_steps
 
 
 @parameters
@@ -39,7 +39,7 @@ class Walk(Manoeuvre):
         """Return the plan: stand, `steps` swings, stand, with the base parallel to the believed ground."""
         start, swings = self.swing_stages(belief, lambda centres: 0.0)
         plan = compile_plan(start, [Stage("stand", STAND), *swings, Stage("halt", 2 * STAND)], self.patience)
-        return lay_on_ground(plan, belief)
+        return tilt_to_ground(plan, belief)
 
     def swing_stages(self, belief: Case, start_offset: Callable[[Array], Array | float]) -> tuple[Stance, list[Stage]]:
         """Return the start stance and the swings on level ground.
@@ -49,7 +49,7 @@ class Walk(Manoeuvre):
             start_offset: gives, from the feet relative to the base (m), how far (m) behind the origin the robot starts.
         """
         length, gait, forward = belief.robot.body_length, GAITS[self.gait], jnp.array([1.0, 0.0, 0.0])
-        step = Step.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.rate)
+        step = GaitStep.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.rate)
         start, centres = level_stance(belief, self.spread_ratio * length, self.height_ratio * length)
         behind = start_offset(centres) * forward
         feet = start.feet + initial_foot_offsets(gait, step, forward) - behind
@@ -73,7 +73,7 @@ class Stand(Manoeuvre):
         """Return a plan with one stage in which all feet stand."""
         length = belief.robot.body_length
         start, _ = level_stance(belief, self.spread_ratio * length, self.height_ratio * length)
-        return lay_on_ground(compile_plan(start, [Stage("stand", self.duration)], 0.0), belief)
+        return tilt_to_ground(compile_plan(start, [Stage("stand", self.duration)], 0.0), belief)
 
 
 def level_stance(belief: Case, spread: Array | float, height: Array | float) -> tuple[Stance, Array]:
@@ -89,8 +89,8 @@ def level_stance(belief: Case, spread: Array | float, height: Array | float) -> 
     return Stance(position + centres, position, jnp.array(IDENTITY)), centres
 
 
-def lay_on_ground(plan: Plan, belief: Case) -> Plan:
+def tilt_to_ground(plan: Plan, belief: Case) -> Plan:
     """Return a plan for level ground, turned by the believed slope."""
     return transform_plan(
-        plan, exponential(jnp.array([0.0, -1.0, 0.0]) * belief.obstacle_as(Plane).slope), jnp.zeros(3)
+        plan, exponential(jnp.array([0.0, -1.0, 0.0]) * belief.obstacle_of_type(Plane).slope), jnp.zeros(3)
     )

@@ -28,7 +28,7 @@ class WalkKerb(Walk):
 
     def plan(self, belief: Case) -> Plan:
         """Return the plan: stand, `steps` swings, stand."""
-        length, height = belief.robot.body_length, belief.obstacle_as(Kerb).height
+        length, height = belief.robot.body_length, belief.obstacle_of_type(Kerb).height
 
         def foothold(foot: Float[Array, " 3"]) -> Float[Array, " 3"]:
             x = jnp.where(foot[0] > 0, jnp.maximum(foot[0], self.margin), jnp.minimum(foot[0], -self.margin))

@@ -12,7 +12,7 @@ from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas.thesis import thesis_fk, thesis_step, thesis_workspace
 from sweep.manoeuvres.goals import ON_ITS_FEET
-from sweep.manoeuvres.walking.walk import lay_on_ground, level_stance
+from sweep.manoeuvres.walking.walk import level_stance, tilt_to_ground
 from sweep.models.case import Case, Manoeuvre
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.plane import Plane
@@ -85,7 +85,7 @@ class Waypoints(Manoeuvre):
                 name = f"{k + 1}.{'-'.join(map(str, tripod))}"
                 stages.append(Stage(name, time, landing, HALF_ELLIPSE, moving * lift, position=position, pace=ELLIPTIC))
         stages.append(Stage("halt", 2 * STAND, position=start.position.at[:2].set(jnp.array(WAYPOINTS[-1]))))
-        return lay_on_ground(compile_plan(start, stages, self.patience), belief)
+        return tilt_to_ground(compile_plan(start, stages, self.patience), belief)
 
     def home_position(self, robot: Robot) -> tuple[Array, Array]:
         """Return a foot's home position (m): outward from its hip, and below it (H), phi = 0: thesis (11)."""

@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.frames import WORLD_FRAME, body_frame, koenig_frame
+from sweep.models.frames import WORLD_FRAME, body_frame_number, koenig_frame_number
 from sweep.models.obstacles.base import ObstacleDefaults
-from sweep.models.obstacles.charts import Chart, Number, point
+from sweep.models.obstacles.charts import Chart, Number, stack_point
 from sweep.models.obstacles.geoms import add_rolling_contact, add_solids
 from sweep.models.obstacles.surface import BodyPoses, FreeState, RollingResistance, Surface, identity_poses
 from sweep.models.solids import HalfSpace, Solid, Sphere
@@ -27,7 +27,7 @@ def point_at_elevation(
     behind, 90 on top)."""
     angle, out = jnp.radians(jnp.asarray(elevation, float)), jnp.asarray(aside, float)
     round_ = jnp.sqrt(1 - out**2)
-    return (obstacle.radius - depth) * point(-round_ * jnp.cos(angle), side * out, round_ * jnp.sin(angle))
+    return (obstacle.radius - depth) * stack_point(-round_ * jnp.cos(angle), side * out, round_ * jnp.sin(angle))
 
 
 def cap_point(
@@ -35,14 +35,14 @@ def cap_point(
 ) -> Float[Array, " 3"]:
     """Return a foothold on the ball's upper half from chart coordinates: `aside` and `ahead` of its centre (R)."""
     x, y = (jnp.asarray(part, float) for part in (ahead, side * aside))
-    return (obstacle.radius - depth) * point(x, y, jnp.sqrt(1 - x**2 - y**2))
+    return (obstacle.radius - depth) * stack_point(x, y, jnp.sqrt(1 - x**2 - y**2))
 
 
 def floor_point(
     obstacle: "Ball", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
     """Return a foothold on the floor from chart coordinates: `aside` and `ahead` of the ball's centre (R)."""
-    return point(ahead * obstacle.radius, side * aside * obstacle.radius, -obstacle.radius - depth)
+    return stack_point(ahead * obstacle.radius, side * aside * obstacle.radius, -obstacle.radius - depth)
 
 
 def tangent_base_position(
@@ -64,7 +64,7 @@ def tangent_base_position(
     """
     angle = jnp.radians(jnp.asarray(elevation, float))
     sin, cos = jnp.sin(angle), jnp.cos(angle)
-    return obstacle.radius * point(-distance * cos + ahead * sin, 0.0, distance * sin + ahead * cos)
+    return obstacle.radius * stack_point(-distance * cos + ahead * sin, 0.0, distance * sin + ahead * cos)
 
 
 def tangent_pitch(obstacle: "Ball", unit: Number, elevation: Number, distance: Number, ahead: Number = 0.0) -> Array:
@@ -105,13 +105,13 @@ class Ball(ObstacleDefaults):
 
     # of feet, then of bases, from the ball's centre
     charts: ClassVar = {
-        "ball": Chart(("aside", "elevation"), point_at_elevation, koenig_frame(0), body_frame(0)),
-        "cap": Chart(("aside", "ahead"), cap_point, koenig_frame(0), body_frame(0)),
-        "ground": Chart(("aside", "ahead"), floor_point, koenig_frame(0), WORLD_FRAME),
+        "ball": Chart(("aside", "elevation"), point_at_elevation, koenig_frame_number(0), body_frame_number(0)),
+        "cap": Chart(("aside", "ahead"), cap_point, koenig_frame_number(0), body_frame_number(0)),
+        "ground": Chart(("aside", "ahead"), floor_point, koenig_frame_number(0), WORLD_FRAME),
         "tangent": Chart(
             ("elevation", "distance", "ahead"),
             tangent_base_position,
-            koenig_frame(0),
+            koenig_frame_number(0),
             pitch=tangent_pitch,
             pivot=pitch_pivot,
             optional_count=1,

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.obstacles.base import StaticObstacle
-from sweep.models.obstacles.charts import Chart, Number, approach_charts, edge_chart, point
+from sweep.models.obstacles.charts import Chart, Number, approach_charts, edge_chart, stack_point
 from sweep.models.obstacles.surface import BodyPoses, Surface
 from sweep.models.solids import HalfSpace, Prism, Solid, array_module
 
@@ -22,14 +22,14 @@ def wall_point(
     """Return a foothold on a wall of the corner from chart coordinates: `aside` of the corner's edge, `above` the
     roof."""
     x = aside * unit
-    return point(side * x, -x / jnp.tan(obstacle.half_angle), obstacle.height + above * unit)
+    return stack_point(side * x, -x / jnp.tan(obstacle.half_angle), obstacle.height + above * unit)
 
 
 def roof_point(
     obstacle: "Corner", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
     """Return a foothold on the roof from chart coordinates: `aside` of the middle, `ahead` of the corner's edge."""
-    return point(side * (aside * unit), -ahead * unit, obstacle.height)
+    return stack_point(side * (aside * unit), -ahead * unit, obstacle.height)
 
 
 @parameters

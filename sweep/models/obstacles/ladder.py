@@ -14,9 +14,9 @@ from jaxtyping import Array, Float
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import matrix
-from sweep.models.frames import body_frame
+from sweep.models.frames import body_frame_number
 from sweep.models.obstacles.base import ObstacleDefaults
-from sweep.models.obstacles.charts import ALONG_Y, Chart, Number, approach_charts, level_ground_charts, point
+from sweep.models.obstacles.charts import ALONG_Y, Chart, Number, approach_charts, level_ground_charts, stack_point
 from sweep.models.obstacles.geoms import add_contact_pair, add_solids, hidden_geom_options
 from sweep.models.obstacles.surface import FOOT_RADIUS, BodyPoses, FreeState, Surface, identity_poses
 from sweep.models.solids import SOIL, Box, HalfSpace, Solid
@@ -37,7 +37,7 @@ def rung_point(
 ) -> Float[Array, " 3"]:
     """Return a foothold on a rung from chart coordinates: the rung, and `aside`, and `out` of the ladder's plane (rung
     depths)."""
-    return point(side * aside * unit, obstacle.y_at_rung(rung) + depth, out * obstacle.rung_depth)
+    return stack_point(side * aside * unit, obstacle.y_at_rung(rung) + depth, out * obstacle.rung_depth)
 
 
 def base_along_ladder(
@@ -46,11 +46,13 @@ def base_along_ladder(
 ) -> Float[Array, " 3"]:  # fmt: skip
     """Return a base position along the ladder from chart coordinates: `up` from below (rungs), `out` of its plane.
 
-    `more_ahead`, `more_out` and `more_pitch` move the base with the ladder's `extra_height`: shares of it along the
-    ladder and out of its plane, and shares of the lean for every unit of it.
+    `more_ahead`, `more_out` and `more_pitch` move the base with the ladder's `ledge_extra_height`: shares of it along
+    the ladder and out of its plane, and shares of the lean for every unit of it.
     """
-    return point(
-        0.0, obstacle.y_at_rung(up) - more_ahead * obstacle.extra_height, out * unit + more_out * obstacle.extra_height
+    return stack_point(
+        0.0,
+        obstacle.y_at_rung(up) - more_ahead * obstacle.ledge_extra_height,
+        out * unit + more_out * obstacle.ledge_extra_height,
     )
 
 
@@ -60,11 +62,11 @@ def base_over_ledge(
 ) -> Float[Array, " 3"]:  # fmt: skip
     """Return a base position beyond and above the ledge's edge from chart coordinates; extra shares as in
     `base_along_ladder`."""
-    out, back = more_out * obstacle.extra_height, (1 - more_ahead) * obstacle.extra_height
+    out, back = more_out * obstacle.ledge_extra_height, (1 - more_ahead) * obstacle.ledge_extra_height
     angle = jnp.asarray(base_pitch(obstacle, unit, ahead, above, pitch, more_ahead, more_out, more_pitch))
     sin, cos = jnp.sin(angle), jnp.cos(angle)
     y, z = back * cos + out * sin - ahead * unit, out * cos - back * sin + above * unit
-    return point(0.0, y, obstacle.ledge_height + z)
+    return stack_point(0.0, y, obstacle.ledge_height + z)
 
 
 def base_pitch(
@@ -72,7 +74,7 @@ def base_pitch(
     more_ahead: Number = 0.0, more_out: Number = 0.0, more_pitch: Number = 0.0,
 ) -> Number:  # fmt: skip
     """Return the pitch (rad, nose up) of a base at chart coordinates along the ladder or over the ledge."""
-    return (pitch + more_pitch * obstacle.extra_height / unit) * obstacle.lean
+    return (pitch + more_pitch * obstacle.ledge_extra_height / unit) * obstacle.lean
 
 
 class LadderBars(NamedTuple):
@@ -107,13 +109,13 @@ class Ladder(ObstacleDefaults):
 
     # of feet, then of bases; feet on rungs, and the base along it, go with the ladder
     charts: ClassVar = {
-        "rung": Chart(("rung", "aside", "out"), rung_point, body_frame(0)),
+        "rung": Chart(("rung", "aside", "out"), rung_point, body_frame_number(0)),
         **approach_charts(lambda obstacle: -obstacle.foot_distance),
         "ledge": LEDGE_CHART,
         "along": Chart(
             ("up", "out", "pitch", *EXTRA_BASE_COORDINATES),
             base_along_ladder,
-            body_frame(0),
+            body_frame_number(0),
             pitch=base_pitch,
             optional_count=3,
         ),
@@ -126,7 +128,7 @@ class Ladder(ObstacleDefaults):
     contact_sites = (("lower_right", 0), ("lower_left", 0), ("upper_right", 0), ("upper_left", 0))
 
     @property
-    def centre(self) -> Array | float:
+    def mass_centre_distance(self) -> Array | float:
         """Distance (m) of the mass centre from the lower ends of the rails, along them."""
         rails, rungs = self._volumes()
         middle = (0.5 + 0.5 * self.rungs) * self.rung_step - self.rung_height / 2
@@ -135,21 +137,21 @@ class Ladder(ObstacleDefaults):
     @property
     def foot_distance(self) -> Array:
         """Distance (m) of the lower end from the wall at the start."""
-        return self.start().position[0, 1] + self.centre * jnp.cos(jnp.asarray(self.lean))
+        return self.start().position[0, 1] + self.mass_centre_distance * jnp.cos(jnp.asarray(self.lean))
 
     @property
-    def extra_height(self) -> Array | float:
+    def ledge_extra_height(self) -> Array | float:
         """Height (m, along the ladder) of the ledge over its nominal place, `LEDGE_HEIGHT_RUNGS` rungs."""
         return self.ledge_height / jnp.sin(jnp.asarray(self.lean)) - LEDGE_HEIGHT_RUNGS * self.rung_step
 
     def y_at_rung(self, rungs: Array | float) -> Array | float:
         """Coordinate y (m, ladder axes) at a height along the ladder in rungs; whole numbers are tops of rungs."""
-        return self.centre - rungs * self.rung_step
+        return self.mass_centre_distance - rungs * self.rung_step
 
     @property
     def landmarks(self) -> Float[Array, "1 3"]:
         """The middle between the rails' lower ends (m, ladder axes)."""
-        return point(0.0, self.centre, 0.0)[None]
+        return stack_point(0.0, self.mass_centre_distance, 0.0)[None]
 
     def _volumes(self) -> tuple[Array | float, Array | float]:
         """Volume of both rails, and of all rungs (m^3)."""
@@ -159,12 +161,13 @@ class Ladder(ObstacleDefaults):
     def bars(self) -> LadderBars:
         """Return the boxes of rails and rungs, in the ladder's own axes."""
         aside = (self.width + self.rail_breadth) / 2
-        rail = point(self.rail_breadth / 2, self.length / 2, self.rail_depth / 2)
-        rung = point(self.width / 2, self.rung_height / 2, self.rung_depth / 2)
-        middles = [point(side * aside, self.centre - self.length / 2, 0.0) for side in SIDES]
-        tops = [self.centre - k * self.rung_step + self.rung_height / 2 for k in range(1, self.rungs + 1)]
+        rail = stack_point(self.rail_breadth / 2, self.length / 2, self.rail_depth / 2)
+        rung = stack_point(self.width / 2, self.rung_height / 2, self.rung_depth / 2)
+        middles = [stack_point(side * aside, self.mass_centre_distance - self.length / 2, 0.0) for side in SIDES]
+        tops = [self.mass_centre_distance - k * self.rung_step + self.rung_height / 2 for k in range(1, self.rungs + 1)]
         return LadderBars(
-            jnp.stack([*middles, *(point(0.0, top, 0.0) for top in tops)]), jnp.stack([rail] * 2 + [rung] * self.rungs)
+            jnp.stack([*middles, *(stack_point(0.0, top, 0.0) for top in tops)]),
+            jnp.stack([rail] * 2 + [rung] * self.rungs),
         )
 
     def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
@@ -205,9 +208,9 @@ class Ladder(ObstacleDefaults):
         mass = self.mass * volume / jnp.sum(volume)
         squares = bars.half**2 / 3 + bars.centre**2
         inertia = jnp.sum(mass[:, None] * (jnp.sum(squares, axis=-1, keepdims=True) - squares), axis=0)
-        ends = {"lower": self.centre, "upper": self.centre - self.length}
+        ends = {"lower": self.mass_centre_distance, "upper": self.mass_centre_distance - self.length}
         aside, inner = (self.width + self.rail_breadth) / 2, -self.rail_depth / 2
-        sites = {f"{end}_{side}": point(sign * aside, y, inner)
+        sites = {f"{end}_{side}": stack_point(sign * aside, y, inner)
                  for end, y in ends.items() for side, sign in zip(("right", "left"), SIDES, strict=True)}  # fmt: skip
         return {
             "body_mass": {"ladder": jnp.asarray(self.mass)},
@@ -219,10 +222,10 @@ class Ladder(ObstacleDefaults):
         """Return the ladder at rest, `gap` away from floor and wall."""
         lean, edge = jnp.asarray(self.lean), self.rail_depth / 2
         sin, cos, zero = jnp.sin(lean), jnp.cos(lean), jnp.zeros_like(lean)
-        y = self.gap + (self.length - self.centre) * cos + edge * sin
-        z = self.gap + self.centre * sin + edge * cos
+        y = self.gap + (self.length - self.mass_centre_distance) * cos + edge * sin
+        z = self.gap + self.mass_centre_distance * sin + edge * cos
         quat = jnp.stack([jnp.cos(lean / 2), -jnp.sin(lean / 2), zero, zero])
-        return FreeState(point(0.0, y, z)[None], quat[None], jnp.zeros((1, 3)), jnp.zeros((1, 3)))
+        return FreeState(stack_point(0.0, y, z)[None], quat[None], jnp.zeros((1, 3)), jnp.zeros((1, 3)))
 
     def start_poses(self) -> BodyPoses:
         """Pose of the ladder at the start."""

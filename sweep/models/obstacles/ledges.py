@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.frames import koenig_frame
+from sweep.models.frames import koenig_frame_number
 from sweep.models.obstacles.ball import Ball
-from sweep.models.obstacles.charts import Chart, Number, level_ground_charts, point
+from sweep.models.obstacles.charts import Chart, Number, level_ground_charts, stack_point
 from sweep.models.obstacles.geoms import add_contact_pair
 from sweep.models.obstacles.surface import BodyPoses, FreeState, RollingResistance, Surface, critical_damping
 from sweep.models.solids import SOIL, Box, Solid
@@ -31,7 +31,7 @@ def base_between(
 ) -> Float[Array, " 3"]:
     """Return a base position between the ledges from chart coordinates: `ahead` of the ball's centre (R), `above` half
     the ledges' height."""
-    return point(ahead * obstacle.radius, 0.0, 0.5 * obstacle.height + above * unit)
+    return stack_point(ahead * obstacle.radius, 0.0, 0.5 * obstacle.height + above * unit)
 
 
 @parameters
@@ -42,7 +42,7 @@ class Ledges(Ball):
         **Ball.charts,
         "near": NEAR_LEDGE_CHART,
         "far": FAR_LEDGE_CHART,
-        "between": Chart(("ahead", "above"), base_between, koenig_frame(0)),
+        "between": Chart(("ahead", "above"), base_between, koenig_frame_number(0)),
     }
     kind: str = choice("ledges", "ledges")
     radius: float = quantity(0.8, "m", above=0)  # R, of the ball
@@ -64,7 +64,7 @@ class Ledges(Ball):
     def start(self) -> FreeState:
         """The ball at rest beside the near wall."""
         free = super().start()
-        place = point(self.radius + self.gap, self.offset, 0.0)
+        place = stack_point(self.radius + self.gap, self.offset, 0.0)
         return free._replace(position=free.position + place)
 
     @property

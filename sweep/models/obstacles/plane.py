@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.obstacles.base import StaticObstacle
-from sweep.models.obstacles.charts import ALONG_X, Chart, Number, point
+from sweep.models.obstacles.charts import ALONG_X, Chart, Number, stack_point
 from sweep.models.obstacles.surface import BodyPoses, Surface
 from sweep.models.solids import HalfSpace, Solid, array_module
 
@@ -16,14 +16,14 @@ def ground_point(
     obstacle: "Plane", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
     """Return a foothold on the ground from chart coordinates: `aside` and `ahead` of the world's origin."""
-    return obstacle.rotation() @ point(ahead * unit, side * aside * unit, -depth)
+    return obstacle.rotation() @ stack_point(ahead * unit, side * aside * unit, -depth)
 
 
 def base_over_ground(
     obstacle: "Plane", side: float, unit: Number, depth: Number, ahead: Number, above: Number, pitch: Number = 0.0
 ) -> Float[Array, " 3"]:
     """Return a base position `above` the ground from chart coordinates, pitched against it (deg, nose up)."""
-    return obstacle.rotation() @ point(ahead * unit, 0.0, above * unit)
+    return obstacle.rotation() @ stack_point(ahead * unit, 0.0, above * unit)
 
 
 def base_pitch(obstacle: "Plane", unit: Number, ahead: Number, above: Number, pitch: Number = 0.0) -> Array:

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.obstacles.base import StaticObstacle
-from sweep.models.obstacles.charts import Chart, Number, approach_charts, edge_chart, point
+from sweep.models.obstacles.charts import Chart, Number, approach_charts, edge_chart, stack_point
 from sweep.models.obstacles.surface import BodyPoses, Surface
 from sweep.models.solids import SOIL, Box, Cylinder, HalfSpace, Solid
 
@@ -19,21 +19,23 @@ def side_point(
 ) -> Float[Array, " 3"]:
     """Return a foothold on the pole's side from chart coordinates: `ahead` of its axis (r), `above` its top."""
     y = -ahead * obstacle.radius
-    return point(side * jnp.sqrt(jnp.asarray(obstacle.radius - depth) ** 2 - y**2), y, obstacle.height + above * unit)
+    return stack_point(
+        side * jnp.sqrt(jnp.asarray(obstacle.radius - depth) ** 2 - y**2), y, obstacle.height + above * unit
+    )
 
 
 def top_point(
     obstacle: "PoleLedge", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
     """Return a foothold on the pole's top from chart coordinates: `aside` and `ahead` of its axis (r)."""
-    return point(side * aside * obstacle.radius, -ahead * obstacle.radius, obstacle.height - depth)
+    return stack_point(side * aside * obstacle.radius, -ahead * obstacle.radius, obstacle.height - depth)
 
 
 def ledge_point(
     obstacle: "PoleLedge", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
     """Return a foothold on the ledge from chart coordinates: `aside` of the middle (r), `ahead` of its edge."""
-    return point(side * aside * obstacle.radius, -obstacle.radius - ahead * unit, obstacle.ledge_height - depth)
+    return stack_point(side * aside * obstacle.radius, -obstacle.radius - ahead * unit, obstacle.ledge_height - depth)
 
 
 @parameters

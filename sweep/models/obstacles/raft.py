@@ -15,9 +15,9 @@ from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import logarithm, matrix
 from sweep.formulas.drag import raft_drag
 from sweep.formulas.raft_statics import buoyancy
-from sweep.models.frames import body_frame
+from sweep.models.frames import body_frame_number
 from sweep.models.obstacles.base import ObstacleDefaults
-from sweep.models.obstacles.charts import ALONG_X, level_ground_charts, point
+from sweep.models.obstacles.charts import ALONG_X, level_ground_charts, stack_point
 from sweep.models.obstacles.geoms import RENDER_GROUP, add_contact_pair, add_solids
 from sweep.models.obstacles.surface import BodyPoses, FreeState, Surface, critical_damping, identity_poses
 from sweep.models.solids import SOIL, Box, Solid
@@ -34,7 +34,7 @@ WATER_DEPTH_M = 6.0  # m, that is drawn: what is translucent is drawn from far t
 WATER_RGBA = (0.25, 0.5, 0.75, 0.45)
 BANK_CHART, BANK_BASE_CHART = level_ground_charts(lambda obstacle: (0.0, 0.0))
 DECK_CHART, DECK_BASE_CHART = level_ground_charts(
-    lambda obstacle: (-obstacle.length / 2, obstacle.thickness / 2), frame=body_frame(0)
+    lambda obstacle: (-obstacle.length / 2, obstacle.thickness / 2), frame=body_frame_number(0)
 )
 FAR_BANK_CHART, FAR_BANK_BASE_CHART = level_ground_charts(lambda obstacle: (obstacle.water_width, 0.0))
 
@@ -75,7 +75,7 @@ class Raft(ObstacleDefaults):
     @property
     def half_size(self) -> Float[Array, " 3"]:
         """Half length, width and thickness: a, b, d (m)."""
-        return 0.5 * point(self.length, self.width, self.thickness)
+        return 0.5 * stack_point(self.length, self.width, self.thickness)
 
     @property
     def mass(self) -> Array | float:

@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.frames import body_frame, koenig_frame
+from sweep.models.frames import body_frame_number, koenig_frame_number
 from sweep.models.obstacles.ball import BALL, Ball, cap_point
-from sweep.models.obstacles.charts import Chart, Number, point
+from sweep.models.obstacles.charts import Chart, Number, stack_point
 from sweep.models.obstacles.geoms import add_contact_pair
 from sweep.models.obstacles.surface import BodyPoses, FreeState, RollingResistance, Surface, critical_damping
 from sweep.models.solids import Solid, Sphere
@@ -27,7 +27,7 @@ def base_above_ball(
     obstacle: "TwoBalls", side: float, unit: Number, depth: Number, ahead: Number, above: Number
 ) -> Float[Array, " 3"]:
     """Return a base position above a ball from chart coordinates: `ahead` of its centre (R), above its top."""
-    return point(ahead * obstacle.radius, 0.0, obstacle.radius + above * unit)
+    return stack_point(ahead * obstacle.radius, 0.0, obstacle.radius + above * unit)
 
 
 @parameters
@@ -36,9 +36,9 @@ class TwoBalls(Ball):
 
     charts: ClassVar = {
         **Ball.charts,
-        "second": Chart(("aside", "ahead"), cap_point, koenig_frame(1), body_frame(1)),
-        "above": Chart(("ahead", "above"), base_above_ball, koenig_frame(0)),
-        "above_second": Chart(("ahead", "above"), base_above_ball, koenig_frame(1)),
+        "second": Chart(("aside", "ahead"), cap_point, koenig_frame_number(1), body_frame_number(1)),
+        "above": Chart(("ahead", "above"), base_above_ball, koenig_frame_number(0)),
+        "above_second": Chart(("ahead", "above"), base_above_ball, koenig_frame_number(1)),
     }
     kind: str = choice("two_balls", "two_balls")
     mass: float = quantity(400.0, "kg", above=0)  # M, of each
@@ -66,7 +66,7 @@ class TwoBalls(Ball):
         """State of both balls, at rest or rolling without slip."""
         first = super().start()
         ahead = 2 * self.radius + self.gap
-        place = point(ahead, self.offset, self.radius)[None]
+        place = stack_point(ahead, self.offset, self.radius)[None]
         velocity = self.second_speed * jnp.array([[1.0, 0.0, 0.0]])
         turn = self.second_speed / self.radius * jnp.array([[0.0, 1.0, 0.0]])
         second = FreeState(place, first.quat, velocity, turn)

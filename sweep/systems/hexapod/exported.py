@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from sweep import metrics
 from sweep.contract.engine_settings import EngineSettings
 from sweep.controllers.flywheel import Flywheel
-from sweep.controllers.layers import Feedforward
+from sweep.controllers.layers import ForceFeedforward
 from sweep.core.errors import InputError
 from sweep.core.outcomes import GOAL_MISSED
 from sweep.core.parameters import MAX_WHOLE_NUMBER
@@ -63,8 +63,9 @@ def check_exportable(case: Case) -> None:
     kind = f"manoeuvre.kind = {case.manoeuvre.kind}"
     reasons = {
         f"obstacle.kind = {case.obstacle.kind} is not allowed: the obstacle may move": bool(case.obstacle.free_bodies),
-        f"{kind} is not allowed: its controller changes servo gains": plan.layer(Flywheel) is not None,
-        f"{kind} is not allowed: it plans contact forces before it starts": plan.layer(Feedforward) is not None,
+        f"{kind} is not allowed: its controller changes servo gains": plan.find_layer(Flywheel) is not None,
+        f"{kind} is not allowed: it plans contact forces before it starts": plan.find_layer(ForceFeedforward)
+        is not None,
         "noise is not allowed: a MuJoCo model has noise settings of its own": classify_sensing(case.noise) != "exact",
         "execution.push_impulse is not allowed: a controller cannot push the robot": case.execution.push_impulse != 0,
         "control is not allowed: an exported controller learns nothing": (case.control.calibrate, case.control.touch)

@@ -22,7 +22,7 @@ from sweep.contract.engine import Metrics
 from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
 from sweep.fused import driver, kernel, launch
-from sweep.fused.arrays import Unsupported
+from sweep.fused.arrays import UnsupportedPrimitive
 from sweep.systems.mujoco_model import batch, disturbances, fields
 from sweep.systems.mujoco_model.engine import (
     ON_NATIVE,
@@ -349,7 +349,7 @@ class KernelModelEngine(ModelEngine):
                     is_over = operator.attrgetter("over")
                     group = self._layout.group
                     return (launch.compile_to_ptx(tick, of_inputs, of_carry, is_over, ticks, room, n, group),)
-                except Unsupported as missing:
+                except UnsupportedPrimitive as missing:
                     return (str(missing),)
 
             spec, settings = self._spec, self._settings

@@ -18,7 +18,7 @@ from jaxtyping import Array
 from sweep.core.errors import USER_CODE_ERRORS, InputError, format_user_exception
 from sweep.core.metric import Metric, keep_ended_states
 from sweep.core.user_code import describe_user_error, run_user_code
-from sweep.fused.numbers import evaluate_numbers
+from sweep.fused.numbers import evaluate_plain_numbers
 from sweep.systems.mujoco_model import files
 from sweep.systems.mujoco_model.batch import BatchStart, controller_inputs, count_ticks
 from sweep.systems.mujoco_model.model_spec import PHYSICAL, ModelSpec, SideValues
@@ -230,7 +230,9 @@ class ControllerPrograms:
         """
 
         def found(function: Callable[..., Any], *more: Any) -> Any:  # without compiling it
-            return self.call_user_code(evaluate_numbers, lambda: function(*jax.tree.map(jnp.asarray, (first, *more))))
+            return self.call_user_code(
+                evaluate_plain_numbers, lambda: function(*jax.tree.map(jnp.asarray, (first, *more)))
+            )
 
         first = jax.tree.map(lambda rows: rows[0], begun.policy_inputs)
         start, state, duration = found(self.begin_controller)
