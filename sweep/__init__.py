@@ -19,7 +19,7 @@ __all__ = ["Fault", "InputError", "load", "run"]
 
 
 def run(*overrides: str) -> "pd.DataFrame":
-    """Simulate what `sweep run` with the same `overrides` would, and give its rows as `load` does.
+    """Run the study that `overrides` select, as `sweep run` does, and return its finished rows as a data frame.
 
     Studies are kept in their folder, so a second call finishes or only reads them; a nominal rollout is one row
     and leaves no files. Raises `sweep.InputError`, whose message is one line.

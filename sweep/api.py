@@ -1,4 +1,4 @@
-"""What `from sweep import load, run` offers to notebooks; behind it is the machinery of the command line."""
+"""The functions `sweep.load` and `sweep.run`, and the accessor `rows.sweep`, for notebooks and scripts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def run(overrides: list[str]) -> pd.DataFrame:
-    """Run a study and return its rows, see `sweep.run`."""
+    """Run the study that `overrides` select, as `sweep run` does, and return its finished rows as a data frame."""
     from sweep.cli.execution import RunFlags, execute_experiment
     from sweep.runs import runner
 
@@ -39,7 +39,7 @@ def run(overrides: list[str]) -> pd.DataFrame:
 
 
 def load(folder: str | PathLike[str], where: str | None = None, columns: Sequence[str] | None = None) -> pd.DataFrame:
-    """Read the rows of a study's folder, see `sweep.load`.
+    """Return the finished rows of a study's folder as a data frame, a row for each rollout.
 
     Args:
         folder: folder of the study.
@@ -89,7 +89,7 @@ class HtmlPage:
 
 @pd.api.extensions.register_dataframe_accessor("sweep")
 class RowsAccessor:
-    """Methods of `rows.sweep`: draw figures of rows, and simulate their rollouts again."""
+    """The accessor `rows.sweep` of a data frame: draws figures of its rows, and simulates their rollouts again."""
 
     def __init__(self, rows: pd.DataFrame):
         if "folder" not in rows.attrs:
@@ -113,13 +113,13 @@ class RowsAccessor:
             return draws.draw_overview(found)
 
     def histories(self) -> pd.DataFrame:
-        """Return the stored time series (`study.keep`) of these rows: `point_id`, `outcome`, `time_s`, its columns.
-        Raises `InputError`."""
+        """Return the stored time series of these rows, one sample a line: `point_id`, `outcome`, `time_s` and the
+        recorded columns. Raises `InputError`."""
         return time_series_plots.load_samples(self._results())
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Convert these rows to an xarray dataset on the grid of the listed axes, with a dimension `replicate` where
-        points repeat.
+        """Convert these rows to an xarray dataset with a dimension for each listed axis, and `replicate` where points
+        repeat.
 
         Points that were not run are NaN; `attrs` hold units. Raises `InputError` where there is no grid or no xarray.
         """
@@ -141,11 +141,11 @@ class RowsAccessor:
         return grid
 
     def report(self) -> HtmlPage:
-        """Return the page that `sweep report` writes; `str()` of it is the HTML."""
+        """Return the HTML page that `sweep report` writes; `str()` of it gives the text."""
         return HtmlPage(page.render_page(self._results()))
 
     def replay(self, row: Any = 0) -> "Replay":
-        """Simulate the rollout of the row with that label again, in its batch, and return the replay.
+        """Simulate the rollout in the row with index label `row` again, and return the replay.
 
         `trace` has what was recorded, `again` its figures and labels, `stored` those of the row. Raises `InputError`.
         """

@@ -112,7 +112,7 @@ def test_the_logistic_fit_finds_the_curve_and_its_intervals_cover():
         success = rng.random(len(x)) < truth
         fit = sensitivity.fit_logistic(x, success)
         fits.append(sensitivity.goodness_of_fit_p(fit, x, success))
-        low, high = fit.distance_at(0.9)[1]
+        low, high = fit.x_at_probability(0.9)[1]
         hits.append(low <= at <= high)
         _, band = fit.probability(0.03)
         inside.append(band.low <= 1 / (1 + np.exp(-(4 - 150 * 0.03))) <= band.high)
@@ -132,8 +132,8 @@ def test_a_fit_that_the_rates_do_not_follow_is_told():
 
 def test_the_logistic_fit_survives_a_clear_cut_and_the_lack_of_any():
     x = np.repeat([1.0, 2.0, 3.0, 4.0], 20)
-    assert 2 < sensitivity.fit_logistic(x, x < 2.5).distance_at(0.5)[0] < 3
-    assert sensitivity.fit_logistic(x, np.ones(80)).distance_at(0.9)[1].high == np.inf
+    assert 2 < sensitivity.fit_logistic(x, x < 2.5).x_at_probability(0.5)[0] < 3
+    assert sensitivity.fit_logistic(x, np.ones(80)).x_at_probability(0.9)[1].high == np.inf
 
 
 def test_the_tolerance_to_an_error_is_told_on_either_side(study):

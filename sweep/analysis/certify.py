@@ -28,7 +28,8 @@ SIGNIFICANT_DIGITS = 9  # significant digits of a region's numbers, so that its 
 
 @dataclass(frozen=True)
 class NestedBoxes:
-    """Nested axis-aligned boxes: each box takes one side off the one before. The first holds all learning rows."""
+    """Nested axis-aligned boxes in parameter space: each box cuts one side off the box before; the first holds all
+    learning rows."""
 
     low: np.ndarray  # (boxes, d)
     high: np.ndarray
@@ -48,7 +49,8 @@ class NestedBoxes:
 
 @dataclass(frozen=True)
 class QuadraticLogOdds:
-    """Quadratic log odds of failure: constant + linear z + z' form z, where z = (x - centre) / scale."""
+    """Log odds of failure as a quadratic function of the parameters: constant + linear z + z' form z, where z = (x -
+    centre) / scale."""
 
     centre: np.ndarray  # (d,)
     scale: np.ndarray
@@ -84,7 +86,7 @@ def _text(number: float) -> str:
 
 
 def required_failure_free_rows(failures: float, confidence: float) -> int:
-    """Return the number of rows without any failure that certify a failure probability.
+    """Return how many rows without any failure certify that the failure probability is at most `failures`.
 
     Args:
         failures: Failure probability to certify, 0 to 1.
@@ -101,7 +103,8 @@ def failure_upper_bound(failed: int, rows: int, confidence: float) -> float:
 
 
 def most_failures_that_certify(rows: ArrayLike, failures: float, confidence: float) -> np.ndarray:
-    """Return the largest numbers of failures among `rows` that still certify `failures`; -1 with too few rows.
+    """Return the largest numbers of failures among `rows` that still certify a failure probability of at most
+    `failures`; -1 if too few rows.
 
     Args:
         rows: Numbers of rows.
@@ -198,7 +201,7 @@ def fit_log_odds(x: np.ndarray, failed: np.ndarray, convex: bool) -> QuadraticLo
 
 
 def learn_region_score(shape: str, x: np.ndarray, failed: np.ndarray, least: float) -> RegionScore:
-    """Learn a score whose sublevel sets are nested regions with few failures.
+    """Learn a score function of the parameters: regions where it is small are nested and contain few failures.
 
     Args:
         shape: One of `SHAPES`: "box", "ellipsoid" or "score" (any quadric).
@@ -215,7 +218,8 @@ def learn_region_score(shape: str, x: np.ndarray, failed: np.ndarray, least: flo
 def candidate_thresholds(
     scores: np.ndarray, failed: np.ndarray, fresh: int, failures: float, confidence: float
 ) -> np.ndarray:
-    """Return ascending thresholds of nested regions, from the one most likely to be certified.
+    """Return ascending thresholds of the score, each of which bounds a region, beginning with the region most likely to
+    be certified.
 
     A larger region may contain more failures, but does contain more of them, too: the first threshold maximises the
     power of the test that follows.
@@ -240,7 +244,8 @@ def candidate_thresholds(
 
 @dataclass(frozen=True)
 class Certificate:
-    """The largest certified region, if any, with the counts of the fresh rows that certify it."""
+    """Result of `certify_largest_region`: the certified region, if any, and the counts of fresh rows that certify
+    it."""
 
     failures: float  # certified upper bound of the failure probability
     confidence: float
@@ -268,7 +273,7 @@ class Certificate:
         return failure_upper_bound(self.failed, self.rows, self.confidence)
 
     def contains(self, x: np.ndarray) -> np.ndarray:
-        """Return which rows x (n, d) lie in the region (n,)."""
+        """Return which rows of x (n, d) lie in the certified region, (n,) of bool."""
         return self.score(x) <= self.threshold
 
 
@@ -279,7 +284,7 @@ def certify_largest_region(
     failures: float,
     confidence: float,
 ) -> Certificate:
-    """Find the largest region whose failure probability is certified to be at most `failures`.
+    """Find the largest region whose failure probability is certified, by fresh rows, to be at most `failures`.
 
     The promise holds for future draws from the same distribution that fall into the region.
 

@@ -20,7 +20,8 @@ SECOND_RUN_MARK = " (B)"  # marks the columns of the second run
 
 @dataclass(frozen=True)
 class OutcomeFlips:
-    """Counts of paired outcomes of runs A and B. Pairs with an invalid rollout are counted apart and not tested."""
+    """Counts of paired outcomes of runs A and B. Pairs with an invalid rollout are counted separately and not
+    tested."""
 
     pairs: int
     lost: int  # succeed in A, fail in B
@@ -125,7 +126,8 @@ def varied_axes(pairs: pd.DataFrame) -> list[str]:
 
 
 def unit_numbers_of_pairs(pairs: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
-    """Return the number of the independent unit of each pair, or None if the pairs are not a random sample.
+    """Return for each pair the number of the independent unit (a draw or replicate) that it belongs to; None if pairs
+    are no random sample.
 
     Args:
         pairs: Pairs of rows (n), see `pair_rows`.
@@ -191,7 +193,7 @@ def sign_flip_p(differences: np.ndarray) -> float:
 
 
 def outcome_changes(pairs: pd.DataFrame) -> np.ndarray:
-    """Return which pairs (n,) differ in outcome."""
+    """Return which pairs (n,) have different outcomes in the two runs."""
     return (pairs["outcome"] != pairs[f"outcome{SECOND_RUN_MARK}"]).to_numpy()
 
 

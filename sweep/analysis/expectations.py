@@ -27,7 +27,8 @@ def unmet_expectations(expectations: tuple[Expectation, ...], rows: pd.DataFrame
 
 
 def judge_expectations(expectations: tuple[Expectation, ...], rows: pd.DataFrame, exp: Experiment) -> list[str]:
-    """Compare the rows with each expectation; the share has its interval if the rows are a random sample.
+    """Compare the share of rows that meet each expectation's condition with its bounds; with intervals for random
+    samples.
 
     Args:
         expectations: Conditions and the limits of their shares.

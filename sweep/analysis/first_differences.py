@@ -9,7 +9,7 @@ TIME, POINT = "time_s", "point_id"
 
 
 def find_first_differences(a: pd.DataFrame, b: pd.DataFrame, columns: Sequence[str], share: float) -> pd.DataFrame:
-    """Find for each rollout the first sample at which two records of it differ, and the first column that does.
+    """Find for each rollout recorded in two folders the first sample and column at which the two recordings differ.
 
     Args:
         a: Time series, a row for each sample: `point_id`, `time_s` and the columns.

@@ -66,7 +66,8 @@ def failure_modes(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
 
 
 def weights_of_draws_and_failures(rows: pd.DataFrame, exp: Experiment) -> tuple[np.ndarray, np.ndarray]:
-    """Return the weight of each row as a plain draw (n,), and as a failure (n,).
+    """Return two weights of each row (n,): its weight as a draw from the nominal distribution, and its weight as a
+    failure.
 
     The weights of failures sum to the failure probability, up to a factor.
 

@@ -14,7 +14,7 @@ from sweep.study.study import parameter_columns
 
 
 def sample_indices(number: int, most: int) -> np.ndarray:
-    """Choose at most `most` indices of `number` items at random, the same ones every time; sorted.
+    """Choose at most `most` indices of `number` items at random with a fixed seed; sorted.
 
     Args:
         number: Number of items.
@@ -50,7 +50,7 @@ def drop_repeated_rollouts(rows: pd.DataFrame, exp: Experiment) -> tuple[pd.Data
 
 
 def is_random_sample(rows: pd.DataFrame, exp: Experiment, condition_columns: Collection[str] = ()) -> bool:
-    """Whether the rows are a random sample at one condition, rather than a choice of conditions.
+    """Return whether the rows are a random sample at one condition, rather than a deliberate choice of conditions.
 
     Args:
         rows: Rows of a study.

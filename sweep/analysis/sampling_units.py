@@ -30,14 +30,15 @@ def has_draws(study: Study) -> bool:
 
 
 def independent_unit(study: Study) -> SamplingUnit:
-    """Return which rows of a study count as one independent observation: the unit of its design, or a replicate."""
+    """Return what counts as one independent observation of a study: the sampling unit of its design, or a replicate."""
     if has_draws(study):
         return study.design.sampling_unit
     return REPLICATE if study.replicates > 1 else NO_UNIT
 
 
 def draw_ids(rows: pd.DataFrame, exp: Experiment) -> np.ndarray:
-    """Return the number of the draw of each row; without draws, the number of its replicate.
+    """Return the number of the random draw to which each row belongs; for a study without draws, the number of its
+    replicate.
 
     Args:
         rows: Rows of a study (n), with the column `replicate`.
@@ -50,7 +51,8 @@ def draw_ids(rows: pd.DataFrame, exp: Experiment) -> np.ndarray:
 
 
 def unit_numbers(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
-    """Return the number of the independent unit of each row, or None if the rows are not a random sample.
+    """Return for each row the number of the independent unit (a draw or replicate) that it belongs to; None if rows are
+    no random sample.
 
     Args:
         rows: Rows of a study (n), with the column `replicate`.
@@ -67,7 +69,8 @@ def unit_numbers(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
 
 
 def pair_units(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
-    """Return the number of the independent unit of each row, for the comparison of two runs of the same rows.
+    """Return for each row the number of the independent unit that it belongs to when two runs of the same rows are
+    compared.
 
     Args:
         rows: Rows of one of the runs (n), with the column `replicate`.
@@ -86,8 +89,8 @@ def pair_units(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
 
 
 def has_independent_rows(rows: pd.DataFrame, exp: Experiment) -> bool:
-    """Return whether every row is a separate draw, and draws are independent or spread more evenly than independent
-    ones.
+    """Return whether every row is a separate draw, so that rows are independent or spread more evenly than independent
+    rows.
 
     Replicates at a single condition are draws of their noise.
 
@@ -104,13 +107,13 @@ def has_independent_rows(rows: pd.DataFrame, exp: Experiment) -> bool:
 
 
 def interval_method(study: Study) -> str:
-    """Name the method of the intervals of `condition_rates`, for titles and captions."""
+    """Return the name of the method by which `condition_rates` computes intervals, for titles and captions."""
     unit = independent_unit(study)
     return f"Student's t over {unit.plural}" if unit.is_even and not study.budget else draw_interval_method(study)
 
 
 def draw_interval_method(study: Study) -> str:
-    """Name the method of the intervals of `stats.success_rates` by draw, for captions."""
+    """Return the name of the method of success-rate intervals that count each draw as one observation, for captions."""
     if study.budget:
         return "confidence sequence"
     repeated = study.replicates > 1 and has_draws(study)

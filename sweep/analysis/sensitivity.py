@@ -38,7 +38,7 @@ MIN_TRIALS_PER_VALUE = 10  # at every value, for a test of how well a fit follow
 
 
 def listed_axes(rows: pd.DataFrame, exp: Experiment) -> list[Axis]:
-    """Return the axes with listed values that vary in the rows.
+    """Return the study axes whose values are listed (not drawn) and that vary in the rows.
 
     Args:
         rows: Rows of a study.
@@ -48,7 +48,7 @@ def listed_axes(rows: pd.DataFrame, exp: Experiment) -> list[Axis]:
 
 
 def drawn_axes(rows: pd.DataFrame, exp: Experiment) -> list[Axis]:
-    """Return the axes with a distribution that vary in the rows.
+    """Return the study axes whose values are drawn from a distribution and that vary in the rows.
 
     Args:
         rows: Rows of a study.
@@ -62,7 +62,7 @@ def _varies(rows: pd.DataFrame, axis: Axis) -> bool:
 
 
 def numeric_axes(rows: pd.DataFrame, axes: list[Axis]) -> list[Axis]:
-    """Return those axes whose values are numbers.
+    """Return those of the given axes whose values are numbers.
 
     Args:
         rows: Rows of a study.
@@ -72,7 +72,7 @@ def numeric_axes(rows: pd.DataFrame, axes: list[Axis]) -> list[Axis]:
 
 
 def success_volume(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
-    """Estimate the share of the draws that succeeds at each condition, with its 95 % interval.
+    """Estimate the share of the random draws that succeed at each combination of listed values, with its 95 % interval.
 
     The interval is that of `sampling_units.condition_rates`, and Clopper and Pearson's if draws are independent.
 
@@ -133,7 +133,7 @@ def grid_volume(rows: pd.DataFrame, exp: Experiment) -> GridVolume:
 
 
 def one_at_a_time_rows(rows: pd.DataFrame, exp: Experiment) -> Iterator[tuple[Axis, float, pd.DataFrame]]:
-    """Yield each listed axis of numbers with its nominal value and the rows where all other axes are nominal.
+    """Yield each listed numeric axis with its nominal value and the rows in which all other axes are nominal.
 
     Where the nominal value of another axis is not on its grid, the nearest value takes its place. An axis that follows
     another one is not listed on its own.
@@ -170,7 +170,8 @@ def _sides(rows: pd.DataFrame, exp: Experiment) -> Iterator[tuple[dict[str, Any]
 
 
 def one_at_a_time_rates(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
-    """Compute the success rate at each value of each listed axis, the others nominal, with its 95 % interval.
+    """Compute the success rate at each value of each listed axis, with all other axes at nominal values, and its 95 %
+    interval.
 
     The interval is NaN if the study has neither draws nor noise: a single rollout is not a sample.
 
@@ -190,7 +191,8 @@ def one_at_a_time_rates(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
 
 
 def margins_from_nominal(rows: pd.DataFrame, exp: Experiment, level: float = 0.5) -> pd.DataFrame:
-    """Compute how far from nominal success holds along each listed axis, the others nominal.
+    """Compute along each listed axis how far from its nominal value rollouts succeed, with all other axes at nominal
+    values.
 
     Args:
         rows: Rows of a study.
@@ -226,15 +228,15 @@ class LogisticFit:
     covariance: np.ndarray
 
     def probability(self, x: ArrayLike, level: float = CONFIDENCE_LEVEL) -> tuple[np.ndarray, Interval]:
-        """Return P at `x`, with its confidence interval."""
+        """Return the fitted probability of success at `x`, with its confidence interval."""
         from scipy.special import expit
 
         x = np.asarray(x, float)
         line, half = self.intercept + self.slope * x, NormalDist().inv_cdf(0.5 + level / 2) * np.sqrt(self._variance(x))
         return expit(line), Interval(expit(line - half), expit(line + half))
 
-    def distance_at(self, probability: float, level: float = CONFIDENCE_LEVEL) -> tuple[float, Interval]:
-        """Return the x at which P falls to `probability`, with Fieller's confidence interval.
+    def x_at_probability(self, probability: float, level: float = CONFIDENCE_LEVEL) -> tuple[float, Interval]:
+        """Return the x at which the fitted probability falls to `probability`, with Fieller's confidence interval.
 
         The interval is the set where the band of P contains `probability`; infinite ends if the slope may be zero.
         """
@@ -325,7 +327,8 @@ def goodness_of_fit_p(fit: LogisticFit, x: np.ndarray, success: np.ndarray, unit
 
 
 def tolerated_errors(rows: pd.DataFrame, exp: Experiment, probability: float = 0.9) -> pd.DataFrame:
-    """Estimate how large an error along each listed axis may be: where P(success) falls to `probability`.
+    """Estimate along each listed axis how large an error may be until the probability of success falls to
+    `probability`.
 
     Args:
         rows: Rows of a study.
@@ -347,7 +350,7 @@ def tolerated_errors(rows: pd.DataFrame, exp: Experiment, probability: float = 0
         if size.max(initial=0) <= 1e-12:
             continue
         fit, unit = fit_logistic(size, success), draw_ids(part, exp)[valid]
-        x = max(fit.distance_at(probability)[0], 0.0)
+        x = max(fit.x_at_probability(probability)[0], 0.0)
         band = condition_rates(part[valid].assign(distance=size.round(12)), exp, ["distance"], clopper_pearson)
         low, high = _crossing(band, probability)
         result = {"error": x, "low": min(float(low), x), "high": max(float(high), x)}
@@ -461,7 +464,7 @@ def total_effects(values: np.ndarray, weights: list[np.ndarray]) -> np.ndarray:
 
 
 def sensitivity_response(rows: pd.DataFrame, figure: str | None) -> pd.Series:
-    """Return the values whose sensitivity is estimated: 1 or 0 for success, or the column `figure`; NaN for invalid
+    """Return the response of a sensitivity analysis by row: 1 or 0 for success, or the column `figure`; NaN for invalid
     rollouts.
 
     Args:
@@ -539,7 +542,7 @@ def sobol_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None
 
 
 def count_rarer_outcome(successes: np.ndarray) -> float:
-    """Count the rarer of success and failure among outcomes, which may be shares of replicates."""
+    """Count successes or failures, whichever are fewer; outcomes may be shares of replicates."""
     share = float(np.mean(successes))
     return np.size(successes) * min(share, 1 - share)
 

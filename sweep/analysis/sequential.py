@@ -20,8 +20,8 @@ TEST_POWER = 0.9  # of the test of fixed size, printed for comparison
 
 
 def log_e_value(lost: ArrayLike, gained: ArrayLike) -> np.ndarray:
-    """Return the log of the e-value (evidence against equal rates) after given numbers of discordant pairs in each
-    direction."""
+    """Return the log of the e-value, the evidence against equal success rates, after counts of pairs won by either
+    run."""
     from scipy.special import betaln  # slow to import
 
     b, c = np.asarray(lost, float), np.asarray(gained, float)
@@ -49,7 +49,8 @@ def fixed_sample_size(lost: float, gained: float, level: float = CONFIDENCE_LEVE
 
 @dataclass(frozen=True)
 class SequentialResult:
-    """State of a sequential comparison at the pair that decides it, or at the last pair if none does."""
+    """State of a sequential comparison of two runs after the pair that decides it, or after the last pair if none
+    does."""
 
     level: float
     pairs: int  # independent ones that are valid in both runs
@@ -90,7 +91,7 @@ class SequentialResult:
 def sequential_test(
     pairs: pd.DataFrame, level: float = CONFIDENCE_LEVEL, unit: np.ndarray | None = None
 ) -> SequentialResult:
-    """Go through pairs in the order of their draws, and stop where the evidence decides.
+    """Compare two runs pair by pair in the order of draws, and stop as soon as the evidence decides.
 
     Pairs with an invalid rollout are left out. If a unit has several pairs, it counts once: for the run that succeeds
     more often in it.

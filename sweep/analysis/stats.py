@@ -34,7 +34,7 @@ class SuccessRate:
 
     @property
     def has_interval(self) -> bool:
-        """Whether the rate has an interval: it needs more than one valid rollout."""
+        """Whether there are enough valid rollouts (two or more) for a confidence interval."""
         return self.valid_count > 1 and not np.isnan(self.low)
 
     @property
@@ -44,7 +44,7 @@ class SuccessRate:
 
     @property
     def invalid_text(self) -> str:
-        """Count and share of invalid rollouts as text: `3 invalid (1.2 %)`."""
+        """Text with the count and share of invalid rollouts, such as `3 invalid (1.2 %)`."""
         return f"{self.invalid:,} invalid ({format_percent(self.invalid_share)})"
 
     def __str__(self) -> str:
@@ -150,7 +150,8 @@ def _ends_by_unit(
 
 
 def cause_lines(cause: pd.Series, meanings: Mapping[str, str]) -> list[str]:
-    """Describe each cause of a column in a line, the most frequent first: number of rollouts, name and meaning.
+    """Describe each failure cause in a column in one line, the most frequent first: number of rollouts, name and
+    meaning.
 
     Args:
         cause: Name of the cause of each row; empty for successes.
@@ -161,7 +162,7 @@ def cause_lines(cause: pd.Series, meanings: Mapping[str, str]) -> list[str]:
 
 
 def bin_values(values: pd.Series, most: int) -> pd.Series:
-    """Replace values by the midpoints of equal bins, unless there are few distinct ones.
+    """Replace values by the midpoints of at most `most` equal bins; few distinct values stay as they are.
 
     Args:
         values: Values (n,); names stay as they are.

@@ -75,7 +75,7 @@ def prefer_cpu(reason: str) -> None:
 
 @contextlib.contextmanager
 def convert_memory_errors() -> Iterator[None]:
-    """Turn a device's lack of memory into a `MemoryError` within this context."""
+    """Raise a `MemoryError` in place of a device's out-of-memory error within this context."""
     try:
         yield
     except jax.errors.JaxRuntimeError as error:
@@ -85,7 +85,7 @@ def convert_memory_errors() -> Iterator[None]:
 
 
 def precision_context(settings: EngineSettings) -> contextlib.AbstractContextManager:
-    """Context with double precision if the settings ask for it."""
+    """Context that enables double precision in JAX if the engine settings ask for it."""
     return jax.enable_x64(settings.precision == "float64")
 
 
@@ -98,13 +98,12 @@ def cpu_context() -> contextlib.AbstractContextManager:
 
 
 def recomputation_cost_threshold() -> int:
-    """Return the cost above which `batch_last_vmap` stores a value instead of computing it again; none on a GPU, whose
-    compiler decides."""
+    """Return the cost above which `batch_last_vmap` stores a value instead of computing it again; None on a GPU."""
     return 8 if jax.default_backend() == "cpu" else NEVER_REUSE
 
 
 def run_program(program: Compiled, *args: Any) -> Any:
-    """Run a compiled program on arguments that are first sharded as it was compiled for.
+    """Run a compiled program after its arguments are sharded over devices as it was compiled for.
 
     Args:
         program: the compiled program.
@@ -114,7 +113,7 @@ def run_program(program: Compiled, *args: Any) -> Any:
 
 
 def planning_compiler_options(forces: bool) -> dict[str, Any]:
-    """Options of XLA's compiler for plans, with planned forces or without.
+    """Return XLA compiler options for planning programs, which differ with and without planned forces.
 
     A plan runs once for each batch, so autotuning, 14 s on a GPU, does not pay. Fused, XLA computes a plan again among
     its forces, and gave two stages of a ladder the forces of wrong poses; unfused they are right.
@@ -137,13 +136,14 @@ def default_batch_width() -> int:
 
 
 def make_mesh(width: int) -> jax.sharding.Mesh:
-    """Mesh of the devices that share a batch: all of them if they divide `width` evenly, else one."""
+    """Make the mesh of devices that share a batch: all devices if they divide `width` evenly, else one."""
     devices = jax.devices() if width % jax.device_count() == 0 else jax.devices()[:1]
     return jax.make_mesh((len(devices),), (BATCH_MESH_AXIS,), (jax.sharding.AxisType.Auto,), devices=devices)
 
 
 def partition_specs(tree: Any) -> Any:
-    """Partition spec of each leaf: split if it has a batch axis, else replicated."""
+    """Return the partition spec of each leaf of a tree: split over devices along its batch axis, or replicated without
+    one."""
     return jax.tree.map(lambda x: PartitionSpec(BATCH_MESH_AXIS) if np.ndim(x) else PartitionSpec(), tree)
 
 
@@ -182,7 +182,7 @@ def shard_leaves(tree: Any, over: jax.sharding.Mesh) -> Any:
 
 
 def sharded_shapes(tree: Any, over: jax.sharding.Mesh) -> Any:
-    """Shapes, with shardings, of arrays that all have a batch axis.
+    """Return the shapes and shardings of a tree of arrays that all have a batch axis.
 
     Args:
         tree: arrays or shapes.
@@ -227,7 +227,7 @@ def to_jax_arrays(tree: Any) -> Any:
 
 
 def noise_keys(streams: np.ndarray) -> Array:
-    """Random key of each rollout, which depends on its stream number alone."""
+    """Return the random key of each rollout, which depends only on the number of the rollout's noise stream."""
     return _keys(np.uint32(streams & 0xFFFFFFFF), np.uint32(np.int64(streams) >> 32))
 
 

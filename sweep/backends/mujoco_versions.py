@@ -1,4 +1,4 @@
-"""Differences between the supported versions of MuJoCo, 3.17 and 4, and of MJX beside them.
+"""One interface to the supported versions of MuJoCo, 3.17 and 4, and of MJX.
 
 No other module of the package asks which version is installed.
 """
@@ -33,7 +33,7 @@ YIELDING_SPRING_FIELDS = {
 
 
 def differing_model_fields(batch: Batch, written: Collection[str]) -> dict[str, np.ndarray]:
-    """Return the numeric model fields that may differ between the models of a batch, (n, ...) each.
+    """Return the numeric fields of the MuJoCo models in a batch that may differ between models, by name, (n, ...) each.
 
     Args:
         batch: The batch of n models.

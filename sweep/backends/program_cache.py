@@ -34,7 +34,7 @@ _jax_settings = threading.RLock()
 
 
 class SerializedXlaProgram(NamedTuple):
-    """A program of XLA in the form that JAX serialises. Other programs are pickled as they are."""
+    """An XLA program in JAX's serialized form, as the program cache stores it."""
 
     content: tuple[Any, ...]
 
@@ -75,7 +75,8 @@ def load_or_compile(
 
 @contextlib.contextmanager
 def without_cache() -> Iterator[None]:
-    """Disable the compilation cache, JAX's included, within this context. One thread at a time enters it.
+    """Disable the compilation caches of this package and of JAX within this context. Only one thread at a time can be
+    in it.
 
     A CPU program that JAX loads from its own cache lacks functions when it is serialised again.
     """

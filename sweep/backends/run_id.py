@@ -1,4 +1,4 @@
-"""The `run_id` of a row: a hash of everything that changes its bits; rows with one `run_id` are reproducible bit for
+"""The `run_id` of a row: a hash of everything that changes its bits, so that rows with equal `run_id` repeat bit for
 bit."""
 
 import hashlib
@@ -33,7 +33,7 @@ def describe_device(settings: EngineSettings) -> str:
 
 
 def run_id(settings: EngineSettings, *extra: str) -> str:
-    """Hash of all that rounding depends on: engine, steps, precision, width, device and code.
+    """Return a hash of all that rounding depends on: engine, time steps, precision, batch width, device and code.
 
     Args:
         settings: settings of the engine.

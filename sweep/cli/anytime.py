@@ -64,6 +64,7 @@ def compare_anytime(args: argparse.Namespace, by: list[str] | None) -> sequentia
 
 
 def named_rows(rows: pd.DataFrame, exp: Experiment, condition: str | None) -> pd.DataFrame:
-    """Select the rows of a study that meet a condition, which may name axes as the study does."""
+    """Select the rows of a study that meet a condition; the condition may use the study's names of axes as well as
+    columns."""
     rows = name_axes(rows, exp.study.axes)
     return rows[condition_mask(rows, condition)]

@@ -6,7 +6,7 @@ from sweep.core.arguments import Arguments
 
 
 def add_folder(parser: Arguments) -> None:
-    """Add the argument `dir`, a folder of results."""
+    """Add the positional argument `dir`, a results folder, to a parser."""
     parser.add_argument("dir", type=Path, help="folder of a study, such as results/walk_map")
 
 

@@ -64,7 +64,7 @@ def certify_region(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
 
 
 def check_arguments(args: argparse.Namespace) -> None:
-    """Raise `InputError` if a number of the command line is out of range."""
+    """Raise `InputError` if a numeric option of `sweep certify` is out of range."""
     for name in ("failures", "confidence"):
         if not 0 < getattr(args, name) < 1:
             raise InputError(f"--{name} = {getattr(args, name):g} is not allowed: between 0 and 1")
@@ -76,7 +76,8 @@ def check_arguments(args: argparse.Namespace) -> None:
 
 
 def drawn_parameter_columns(exp: Experiment, rows: pd.DataFrame) -> list[str]:
-    """Columns of the drawn axes. Raises `InputError` where rows are not independent draws of a few numbers."""
+    """Return the columns of randomly drawn parameters. Raises `InputError` unless rows are independent draws of a few
+    numeric parameters."""
     own = exp.study
     if not (has_draws(own) and own.design.has_independent_draws) or own.replicates > 1 or own.is_refined:
         kinds = " or ".join(design_kinds.list_kinds(lambda kind: kind.has_independent_draws))
@@ -94,12 +95,13 @@ def drawn_parameter_columns(exp: Experiment, rows: pd.DataFrame) -> list[str]:
 
 
 def parameters_and_failures(rows: pd.DataFrame, names: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Parameters (n, d), and which rows failed (n,); an invalid rollout counts as a failure."""
+    """Return the parameter values of all rows (n, d), and which rows failed (n,); invalid rollouts count as
+    failures."""
     return rows[names].to_numpy(dtype=float), (rows["outcome"] != "success").to_numpy()
 
 
 def simulate_fresh_draws(exp: Experiment, folder: Path, seed: int, number: int) -> pd.DataFrame:
-    """Simulate draws of the study with another seed, in a folder of their own, and read their rows."""
+    """Simulate draws of the study with a new seed in a separate folder, and return their rows."""
     fresh = with_seed_and_draws(exp, folder, seed, number)
     with report_progress("fresh draws", number, f"{exp.scenario} for fresh draws") as report:
         extend.extend_study(fresh, folder, number, report)
@@ -108,7 +110,7 @@ def simulate_fresh_draws(exp: Experiment, folder: Path, seed: int, number: int) 
 
 
 def with_seed_and_draws(exp: Experiment, folder: Path, seed: int, number: int) -> Experiment:
-    """Return the study with another seed and number of draws."""
+    """Return a copy of the experiment whose study has another seed and another number of draws."""
     own = exp.values["study"]
     study = {**own, "seed": seed, "design": {**own["design"], "num": number}, "keep": [], "expect": []}
     return build_experiment({**exp.values, "study": study, "out": str(folder)})
@@ -117,7 +119,8 @@ def with_seed_and_draws(exp: Experiment, folder: Path, seed: int, number: int) -
 def check_region_by_simulation(
     exp: Experiment, folder: Path, certificate: certify.Certificate, names: list[str], worst: certify.RegionScore
 ) -> list[dict[str, Any]]:
-    """Count failures where the region looks worst, and outside of it. These draws are not part of the guarantee.
+    """Count failures among new draws at the worst part of a certified region and outside it; these draws are not part
+    of the guarantee.
 
     The region looks worst where `worst`, a learned probability of failure, is largest. Batches are as wide as those of
     the fresh draws, whose engine is compiled already.

@@ -14,7 +14,8 @@ EVIDENCE_HINT = "; studies of the project's own evidence are files of its reposi
 
 
 def shipped_choices(group: str) -> dict[str, str]:
-    """Choices that come with the package, with the first comment of their file or sentence of their class."""
+    """Return the shipped choices of a configuration group with a one-line description each, read as text without
+    imports."""
     found = _classes(PACKAGE_FOLDER / GROUPS[group].source_path) if GROUPS[group].has_kinds else {}
     found |= {name: project.first_comment(file) for name, file in project.shipped_files(group).items()}
     return dict(sorted(found.items()))
@@ -40,7 +41,7 @@ def refuse_unknown_choices(overrides: list[str]) -> None:
 
 
 def no_project_hint() -> str:
-    """Return the end of an error message about an unknown choice: that no project was found; empty inside a project."""
+    """Return a hint for an error message that no project was found in the working folder; empty inside a project."""
     return (
         ""
         if project.find_project()

@@ -8,7 +8,7 @@ from sweep.core.arguments import Arguments
 
 
 class Section(StrEnum):
-    """Headings of the list that `sweep --help` prints, in its order."""
+    """The section headings of `sweep --help`, in printed order."""
 
     LOOK_UP = "start and look up"
     SIMULATE = "simulate"
@@ -19,7 +19,7 @@ class Section(StrEnum):
 
 
 class Command(NamedTuple):
-    """What `sweep --help` says about a subcommand."""
+    """A subcommand's entry in `sweep --help`: section and one-line help."""
 
     section: Section  # heading in `sweep --help`
     help: str  # one line; `sweep NAME --help` begins with it, too

@@ -42,7 +42,7 @@ MAX_CHANGED_SHARE = 0.2  # share of them that may end otherwise than the scenari
 
 @dataclass(frozen=True)
 class RunFlags:
-    """Flags of `sweep run` that are not passed to Hydra."""
+    """Flags of `sweep run` that Hydra does not receive, such as `--check`."""
 
     dry_run: bool = False
     check: bool = False
@@ -51,7 +51,7 @@ class RunFlags:
 
 
 def execute_experiment(exp: Experiment, flags: RunFlags) -> int:
-    """Run an experiment.
+    """Run an experiment as a study or a single rollout, print its summary, and return the exit code.
 
     Args:
         exp: checked experiment.
@@ -181,13 +181,14 @@ def record_study_replays(exp: Experiment, folder: Path, rows: pd.DataFrame) -> N
 
 
 def list_failing_levels(exp: Experiment) -> list[FailingLevel]:
-    """List named levels that fail at the nominal point, with a progress line during their simulation."""
+    """List the names on categorical axes, such as gaits, whose nominal rollout fails; prints progress while it
+    simulates."""
     with show_elapsed_time(f"simulating the nominal rollout of each name that {exp.study.name} lists"):
         return find_failing_levels(exp)
 
 
 def check_axes(exp: Experiment, points: pd.DataFrame) -> int:
-    """Check whether every axis has an effect and rollouts are repeatable; exit code 4 if not."""
+    """Check by simulation whether every axis has an effect and rollouts are repeatable; exit code 4 if not."""
 
     def words(done: int) -> str:
         return f"{exp.study.name}: {done} rollouts simulated to check that its axes have an effect"
@@ -246,7 +247,8 @@ def execute_single(exp: Experiment, flags: RunFlags) -> int:
 
 
 def experiment_with_small_jitter(exp: Experiment) -> Experiment | None:
-    """The scenario with the jitter study's axes and its own expectations; None for another system."""
+    """Return the experiment with small random errors on its parameters (study `jitter`); None for other systems than
+    the hexapod."""
     values = compose_values(JITTER_STUDY)
     if find_kind_by_keys(values) is not find_kind_by_keys(exp.values):
         return None
@@ -263,7 +265,7 @@ def experiment_with_small_jitter(exp: Experiment) -> Experiment | None:
 
 
 def expectation_exit_code(exp: Experiment, rows: pd.DataFrame, complete: bool) -> int:
-    """Return the exit code of finished rows, and print a line for each expectation that is not met."""
+    """Print a line for each unmet expectation of a study, and return the exit code."""
     found = success_rate(rows["outcome"])
     if found.invalid_share > exp.study.invalid_max:
         allowed = f"{exp.study.invalid_max:.1%} allowed"
@@ -309,14 +311,14 @@ def describe_dry_run(job: runner.Job) -> str:
 
 
 def describe_memory_per_rollout(job: runner.Job, missing: pd.DataFrame) -> str:
-    """Memory that a rollout of the first group needs, as text."""
+    """Describe the memory that one rollout needs, as text."""
     start = nominal_batch(job.exp, missing.iloc[:1], int(missing["width"].iloc[0]))
     size = make_engine(job.exp, start).rollout_bytes()
     return f", {size / 1024:.1f} KiB of memory per rollout" if size else ""
 
 
 def describe_expected_duration(job: runner.Job, missing: pd.DataFrame) -> str:
-    """Estimated time of the `missing` rollouts as text, from the last batch of this or a similar study."""
+    """Describe how long `missing` rollouts will take, from the last batch of this or a similar study."""
     beside = sorted(job.folder.parent.glob(f"*/{store.STUDY_FILE}"), key=lambda p: p.stat().st_mtime, reverse=True)
     for folder in (job.folder, *(path.parent for path in beside)):
         if (seconds := seconds_per_rollout(folder, job)) is not None:
@@ -337,7 +339,7 @@ def seconds_per_rollout(folder: Path, job: runner.Job) -> float | None:
 
 
 def axes_table(exp: Experiment) -> str:
-    """Table of the axes: parameter, side, values, unit and nominal value."""
+    """Return a Markdown table of the study's axes: parameter, side, values, unit and nominal value."""
     lines = [
         [
             axis.name,
@@ -354,6 +356,6 @@ def axes_table(exp: Experiment) -> str:
 
 
 def describe_compiled_program(exp: Experiment) -> str:
-    """Description of the program that is compiled before the first batch."""
+    """Describe the program that is compiled before the first batch: system, engine and device."""
     kind = exp.settings.name if exp.study.single else f"batches of {exp.study.name} on {exp.settings.name}"
     return f"{exp.scenario} for {kind}"

@@ -23,7 +23,8 @@ COMPLETION_QUERIES = ("install=", "uninstall=", "query=")  # what its completion
 
 
 def launch_hydra(overrides: list[str], work: Callable[[Experiment], int], run_flags: list[str]) -> int:
-    """Compose the configuration and run `work` on it; return the exit code, the largest of a multirun.
+    """Compose the configuration of `overrides` with Hydra and call `work` on it; return the exit code, the largest of a
+    multirun.
 
     Raises `InputError`; for an unknown flag it names the closest of Hydra's and of our own `run_flags`.
     """
@@ -64,7 +65,7 @@ def launch_hydra(overrides: list[str], work: Callable[[Experiment], int], run_fl
 
 
 def check_flags(overrides: list[str], run_flags: list[str]) -> None:
-    """Raise `InputError` if Hydra would print its usage."""
+    """Raise `InputError` for arguments of `sweep run` for which Hydra would print its usage."""
     parser = get_args_parser()
 
     def error(message: str) -> NoReturn:

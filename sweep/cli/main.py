@@ -30,7 +30,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def run_command(argv: list[str] | None) -> int:
-    """Run one command, see `main`; each error becomes a line on the standard error."""
+    """Run the subcommand in `argv` and return its exit code; print each error as one line on standard error."""
     try:
         from sweep.cli import commands  # takes a tenth of a second
         from sweep.core import project

@@ -1,4 +1,4 @@
-"""Optimise the numbers of a plan for `sweep tune`: search, check on other draws, and the plan's file."""
+"""Optimise the numbers of a plan file for `sweep tune`: search, check on fresh draws, and write the tuned file."""
 
 import argparse
 import dataclasses
@@ -131,7 +131,7 @@ def tune_plan(args: argparse.Namespace) -> int:
 
 
 def nominal_drawn_sizes(exp: Experiment) -> dict[str, float]:
-    """Sizes of robot and obstacle that the study draws, at their nominal values.
+    """Return the nominal values of those sizes of robot and obstacle that the study draws at random.
 
     Numbers follow relative changes, so sizes of zero are left out. Raises `InputError` where no size is drawn.
     """
@@ -162,7 +162,7 @@ def searched_ranges(exp: Experiment) -> dict[str, list[float]]:
 def select_influential_sizes(
     exp: Experiment, score: PlanScore, numbers: np.ndarray, draws: Case, sizes: Mapping[str, float]
 ) -> dict[str, float]:
-    """Select the sizes that change a margin over the range of the draws.
+    """Select the drawn sizes whose range changes some margin of the plan.
 
     Slopes along other sizes, such as masses without forces, would be chance and extrapolate badly. Raises `InputError`
     where no size matters.
@@ -180,7 +180,8 @@ def select_influential_sizes(
 def search_and_round(
     score: PlanScore, draws: Case, first: np.ndarray, sizes: Mapping[str, float], how: Mapping[str, Any], log: Path
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Search with a progress bar; return rounded numbers (n,), and the slopes (n, k) by which they follow sizes."""
+    """Search for the best plan numbers with a progress bar; return rounded numbers (n,), and their slopes (n, k) by k
+    sizes."""
     scale = np.array(list(how["free"].values()))
     shown = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
                      console=Console(stderr=True))  # fmt: skip
@@ -216,7 +217,7 @@ def search_and_round(
 
 
 def compare_plans(overrides: list[str], file: Path, settings: list[str], seed: int) -> str:
-    """Simulate draws with the plan before and after tuning, and describe how many succeed.
+    """Simulate fresh draws with the plan before and after tuning, and describe how many succeed with each.
 
     Results are stored beside the plan's file.
     """
@@ -231,7 +232,7 @@ def compare_plans(overrides: list[str], file: Path, settings: list[str], seed: i
 
 
 def parse_margin_aim(text: str) -> MarginAim:
-    """Parse `MARGIN[@STAGES]=VALUE`. Raises `InputError`."""
+    """Parse an option `MARGIN[@STAGES]=VALUE`, the least value that a margin should have. Raises `InputError`."""
     name, _, value = text.partition("=")
     margin, _, pattern = name.partition("@")
     try:
@@ -243,7 +244,8 @@ def parse_margin_aim(text: str) -> MarginAim:
 
 
 def parse_moments_per_stage(texts: Iterable[str]) -> list[tuple[str, int]]:
-    """Parse patterns of stages with the number of moments to evaluate in each; the last match counts.
+    """Parse patterns of stage names with the number of moments at which margins are evaluated; the last matching
+    pattern counts.
 
     Raises `InputError`.
     """
@@ -257,14 +259,14 @@ def parse_moments_per_stage(texts: Iterable[str]) -> list[tuple[str, int]]:
 
 
 def tunable_manoeuvre_parameters(case: Case) -> dict[str, float]:
-    """Numeric parameters of the manoeuvre by path, which can be tuned along with those of its plan."""
+    """Return the numeric parameters of the manoeuvre by path, which can be tuned along with the numbers of its plan."""
     found = {f.name: getattr(case.manoeuvre, f.name) for f in dataclasses.fields(case.manoeuvre)  # pyright: ignore[reportArgumentType]
              if f.metadata.get("role") == "quantity"}  # fmt: skip
     return {f"{MANOEUVRE}.{name}": float(value) for name, value in found.items() if value is not None}
 
 
 def margins_table(score: PlanScore, margins: Mapping[str, Mapping[str, np.ndarray]]) -> str:
-    """Table of the smallest value of each margin (m, rad/s), with its stage in the last column."""
+    """Return a table with the smallest value of each margin (m or rad/s) and the stage in which it occurs."""
     lines = {name: least_margins(values) for name, values in margins.items()}
     last = list(margins.values())[-1]
     where = {key: score.stages[int(np.argmin(last[key].min(axis=0)))] for key in next(iter(lines.values()))}
@@ -273,7 +275,7 @@ def margins_table(score: PlanScore, margins: Mapping[str, Mapping[str, np.ndarra
 
 
 def tuned_plan_content(case: Case, changes: Mapping[str, float]) -> Content:
-    """Content of the plan's file with tuned numbers; formulas whose value did not change stay."""
+    """Return the content of a plan file with tuned numbers; formulas whose value did not change are kept."""
     formulas = plan_table.formula_values(case)
     for path, value in changes.items():
         if round(value - formulas.get(path, math.inf), NUMBER_DIGITS):
@@ -282,7 +284,7 @@ def tuned_plan_content(case: Case, changes: Mapping[str, float]) -> Content:
 
 
 def add_size_slopes(content: Content, paths: Iterable[str], slopes: np.ndarray, sizes: Mapping[str, float]) -> Content:
-    """Add slopes to a plan's content: how much the number at each path changes for a unit of each size."""
+    """Add to a plan's content by how much the number at each path changes per unit of each size."""
     if not sizes:
         return content
     part = {**content.get(SLOPES, {})}
@@ -298,7 +300,7 @@ def add_size_slopes(content: Content, paths: Iterable[str], slopes: np.ndarray, 
 
 
 def format_plan_file(case: Case, content: Content, head: list[str]) -> str:
-    """Text of a plan's file: comments, then its differences to the manoeuvre's own plan."""
+    """Format a tuned plan file: comments, then all differences from the manoeuvre's own plan."""
     said = plan_table.find_overrides(plan_table.default_plan_content(case), content)
     own = case.manoeuvre.default_plan_name
     whole = {"extends": own, **said} if own else said

@@ -41,12 +41,13 @@ def play_in_viewer(trace: Trace) -> None:
 
 
 def file_names(folder: str) -> list[str]:
-    """Names of the files in a folder; empty if it is no folder."""
+    """Return the names of the files in a folder; empty if the folder does not exist."""
     return os.listdir(folder) if os.path.isdir(folder) else []
 
 
 def record_traces(target: list[str]) -> Iterator[Trace]:
-    """Record the rollout that the user names, at a frame rate for smooth playback. Raises `InputError`."""
+    """Simulate the rollouts that the user names and record traces at a frame rate for smooth playback. Raises
+    `InputError`."""
     if store.STUDY_FILE in file_names(target[0]):
         found, at = find_row(*parse_folder_and_point(target))
         device_choice.choose_device_for_folder(found.folder)
@@ -60,7 +61,7 @@ def record_traces(target: list[str]) -> Iterator[Trace]:
 
 
 def open_study(target: list[str], beside: list[str]) -> tuple[Results, list[ShownReplay]]:
-    """Read a study's results and replays, those that the user names first. Raises `InputError`."""
+    """Read a study's results and its replays, beginning with the rollouts that the user names. Raises `InputError`."""
     folder, point = parse_folder_and_point(target)
     found, first = find_row(folder, point)
     wanted = [(found, first, "")]
@@ -85,14 +86,14 @@ def open_study(target: list[str], beside: list[str]) -> tuple[Results, list[Show
 
 
 def parse_folder_and_point(target: list[str]) -> tuple[str, str]:
-    """Parse the two arguments folder and point. Raises `InputError` if there are not two."""
+    """Parse two arguments into a results folder and a point of it. Raises `InputError` if there are not two."""
     if len(target) != 2:
         raise InputError(f"{target[0]} is a study: add a row number, or the beginning of a point_id")
     return target[0], target[1]
 
 
 def find_row(folder: str, point: str) -> tuple[Results, int]:
-    """Results of a folder, and the index of a point among their rows. Raises `InputError`."""
+    """Read a results folder, and find the row index of a point in it. Raises `InputError`."""
     found = results.read_results(Path(folder))
     row = store.find_row(store.read_rows(Path(folder)), point, Path(folder))
     return found, int((found.rows["point_id"] == row["point_id"]).to_numpy().argmax())

@@ -36,7 +36,7 @@ def read_matching_rows(folder: Path, condition: str | None, columns: Sequence[st
 
 
 def warn_of_no_match(folder: Path, condition: str | None, number: int) -> None:
-    """Say on the standard error that none of a number of rows meets a condition."""
+    """Print to standard error that none of `number` rows meets a condition."""
     print(f"sweep: none of {number} rows of {folder} matches {condition!r}", file=sys.stderr)
 
 

@@ -69,7 +69,7 @@ class LiveColumn(ProgressColumn):
 def report_progress(
     name: str, total: int, program: str, watched: WorkerStatus | None = None
 ) -> Iterator[runner.ProgressCallback]:
-    """Show progress: a bar on a terminal, else a line from time to time."""
+    """Context that shows the progress of a run: a bar on a terminal, else an occasional line."""
     console = Console(stderr=True)
     start, done, pace = time.perf_counter(), 0, RemainingTimeEstimate(total)
     counts = dict.fromkeys(("success", "failure", "invalid"), 0)

@@ -67,7 +67,7 @@ def report_resimulation(results: Results, number: int, seed: int = 0, tolerance:
 def compare_row(
     row: pd.Series, metrics: Mapping[str, Any], labels: Mapping[str, Any], tolerance: float
 ) -> dict[str, Any]:
-    """Compare a stored row with the same rollout simulated again.
+    """Compare metrics and outcome of a stored row with those of the same rollout simulated again.
 
     Rows of one `run_id` are equal to the last bit, so that any difference between them is a change.
 

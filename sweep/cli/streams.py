@@ -7,7 +7,8 @@ from typing import TextIO
 
 
 class SafeStream(io.TextIOWrapper):
-    """A standard stream that is discarded after its first error. An error other than a `loss` is raised once."""
+    """A standard stream that discards output after its first write error. Errors other than the expected `loss` are
+    raised once."""
 
     def __init__(self, number: int, name: str, stream: TextIO | None, loss: type[OSError]) -> None:
         # kept, as it would close what it shares with this
@@ -22,7 +23,7 @@ class SafeStream(io.TextIOWrapper):
         self.told, self.loss = name, loss
 
     def write(self, text: str, /) -> int:
-        """Write `text`, or discard it after an error."""
+        """Write `text` to the stream; do nothing after an error."""
         try:
             return super().write(text)
         except OSError as error:
@@ -30,7 +31,7 @@ class SafeStream(io.TextIOWrapper):
             return len(text)
 
     def flush(self) -> None:
-        """Flush the stream, or discard it after an error."""
+        """Flush the stream; do nothing after an error."""
         try:
             super().flush()
         except OSError as error:

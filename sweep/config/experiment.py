@@ -60,7 +60,7 @@ SINGLE_CLASSES: dict[str, type] = {name: group.load() for name, group in GROUPS.
 
 @dataclass(frozen=True)
 class Experiment:
-    """A checked configuration, made by `build_experiment`."""
+    """A checked experiment: system, study, engine settings and thresholds; made by `build_experiment`."""
 
     scenario: str
     system: System
@@ -151,7 +151,8 @@ def _open(node: DictConfig) -> DictConfig:
 
 
 def compose(overrides: list[str]) -> Experiment:
-    """Compose and check the experiment of command-line overrides such as `study=first`. Raises `InputError`."""
+    """Compose and check the experiment that command-line overrides such as `study=first` select. Raises
+    `InputError`."""
     return build_experiment(compose_values(overrides))
 
 
@@ -219,7 +220,7 @@ def resolve_interpolations(config: DictConfig) -> dict[str, Any]:
 
 
 def flatten_values(values: Any, path: str = "") -> dict[str, Any]:
-    """Flatten nested plain values.
+    """Flatten nested plain values into a mapping by dotted path.
 
     Args:
         values: Nested mappings, or a single value.
@@ -235,7 +236,7 @@ def flatten_values(values: Any, path: str = "") -> dict[str, Any]:
 
 
 def build_experiment(values: Mapping[str, Any]) -> Experiment:
-    """Check plain values and make the experiment.
+    """Make an experiment from the plain values of a composed configuration, after checking them.
 
     Args:
         values: A resolved configuration, composed or stored in study.yaml.

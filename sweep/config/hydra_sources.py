@@ -54,7 +54,7 @@ class GroupFileSource(ConfigSource):
         return config_path in GROUPS
 
     def is_config(self, config_path: str) -> bool:
-        """Return whether `group/name` names a configuration file, or a kind of the group."""
+        """Return whether `group/name` names a configuration file or a built-in kind of that group."""
         group, _, name = config_path.partition("/")
         return group in GROUPS and (project.find_file(group, name) is not None or find_schema(group, name) is not None)
 
@@ -65,7 +65,7 @@ class GroupFileSource(ConfigSource):
         return choice_names(config_path)
 
     def load_config(self, config_path: str) -> ConfigResult:
-        """Load a file and translate it to Hydra's syntax. Raises `InputError`."""
+        """Load a configuration file of a group and translate it to Hydra's syntax. Raises `InputError`."""
         group, _, name = config_path.partition("/")
         if project.find_file(group, name) is None and (make_schema := find_schema(group, name)):
             return ConfigResult(self.provider, self.full_path(), make_schema(), {"package": None})
@@ -87,7 +87,7 @@ class GroupFileSource(ConfigSource):
 
 
 def find_schema(group: str, name: str) -> Callable[[], DictConfig] | None:
-    """Find the schema that `group=name` selects where it names no file.
+    """Return the Hydra schema that `group=name` selects if it names no file.
 
     Args:
         group: Configuration group.
@@ -101,10 +101,11 @@ def find_schema(group: str, name: str) -> Callable[[], DictConfig] | None:
 
 
 class UserFileSource(FileConfigSource):
-    """Hydra source of a user's files, such as those in a `--config-dir`. They set values and cannot run code."""
+    """Hydra source of a user's configuration files, such as those in a `--config-dir`; they can set values but not run
+    code."""
 
     def load_config(self, config_path: str) -> ConfigResult:
-        """Load a file. Raises `InputError` where it would run code, or where its YAML is ambiguous."""
+        """Load a user's configuration file. Raises `InputError` if it would run code or its YAML is ambiguous."""
         file = os.path.join(self.path, self._normalize_file_name(config_path))
         if os.path.isfile(file):
             with open(file, encoding="utf-8") as opened:
@@ -150,7 +151,7 @@ class GroupSearchPathPlugin(SearchPathPlugin):
 
 
 def register_hydra_sources() -> None:
-    """Register both sources with Hydra."""
+    """Register the package's two configuration sources, group files and user files, with Hydra."""
     for plugin in (GroupFileSource, GroupSearchPathPlugin):
         Plugins.instance().register(plugin)  # this replaces our source of files by Hydra's
     SourcesRegistry.instance().types[UserFileSource.scheme()] = UserFileSource
@@ -188,7 +189,7 @@ def read_config_file(file: Any, quotes_words: bool = False) -> dict[str, Any]:
 
 
 def translate_study_or_scenario(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:
-    """Translate a study or scenario to Hydra's syntax: the file it extends, its choices, then its values.
+    """Translate a study or scenario file to Hydra's syntax: the file it extends, its choices, then its values.
 
     Args:
         group: `study` or `scenario`.
@@ -219,7 +220,7 @@ def translate_study_or_scenario(group: str, file: Any, content: Mapping[str, Any
 
 
 def find_system_name(chosen: Mapping[str, str]) -> str:
-    """Find the system that choices of a scenario or study select; `DEFAULT_SYSTEM` by default.
+    """Return the name of the system that the choices of a scenario or study select, by default `DEFAULT_SYSTEM`.
 
     Args:
         chosen: Chosen names by group.
@@ -242,7 +243,7 @@ def find_system_name(chosen: Mapping[str, str]) -> str:
 
 
 def translate_group_file(group: str, file: Any, content: Mapping[str, Any]) -> dict[str, Any]:
-    """Translate parameters of a group to Hydra's syntax, after the file they extend or the defaults of their class.
+    """Translate a configuration file of a group to Hydra's syntax, after the file it extends or its class's defaults.
 
     Args:
         group: Configuration group.
@@ -266,7 +267,7 @@ def translate_group_file(group: str, file: Any, content: Mapping[str, Any]) -> d
 
 
 def defaults_of_extended_files(group: str, file: Any, content: Mapping[str, Any]) -> list[Any]:
-    """Return the files that a file extends, as entries of Hydra's list of defaults. Raises `InputError`."""
+    """Return the files that a configuration file extends, as entries of Hydra's defaults list. Raises `InputError`."""
     names = [require_choice_of_group(file, group, name) for name in extended_names(group, content)]
     return [f"/{group}/{name}@{'_global_' if GROUPS[group].is_global else '_here_'}" for name in names]
 
@@ -323,7 +324,7 @@ def require_choice_of_group(file: Any, group: str, name: Any) -> str:
 
 
 def resolve_relative_to_file(file: Any, name: Any) -> Any:
-    """Resolve a path that a configuration file names.
+    """Resolve a path that is written in a configuration file relative to that file.
 
     Args:
         file: The file that names it.

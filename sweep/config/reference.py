@@ -1,4 +1,4 @@
-"""Text of `sweep describe`: every parameter with its unit, bounds, default and meaning.
+"""Reference texts for `sweep describe`: every parameter with its unit, bounds, default and meaning.
 
 Meanings are the comments beside the parameters in the source.
 """
@@ -83,7 +83,7 @@ def describe_name(name: str) -> str:
 
 
 def column_meanings() -> dict[str, str]:
-    """What the columns of rows mean: labels, and what is measured of the six-legged robot and of any model."""
+    """Return the meaning of every results column by name: labels and metrics of all systems."""
     return {**COLUMN_MEANINGS, **systems.describe_columns()}
 
 
@@ -93,7 +93,7 @@ def group_file_names(group: str) -> list[str]:
 
 
 def describe_file_numbers(group: str, name: str) -> str:
-    """Describe plans: a list of all, the numbers of the plan `NAME`, or the number `NAME.PATH`.
+    """Describe plan files: list all of them, the numbers in the plan `NAME`, or the single number `NAME.PATH`.
 
     Args:
         group: The configuration group, `plan`.
@@ -189,7 +189,7 @@ def parameter_rows(cls: type) -> Iterator[dict[str, str]]:
 
 
 def choice_meanings(field: "dataclasses.Field[Any]") -> dict[str, str]:
-    """Return the meanings of the names that a `choice` parameter allows, where they are documented."""
+    """Return the documented meanings of the names that a `choice` parameter allows."""
     return field.metadata.get("meanings", {})
 
 
@@ -211,12 +211,12 @@ def describe_class(cls: type) -> str:
 
 
 def module_summary(cls: type) -> str:
-    """Return the first line of the docstring of a class' module, which cites the source."""
+    """Return the first docstring line of the module that defines a class; that line cites the source."""
     return (inspect.cleandoc(inspect.getmodule(cls).__doc__ or "").splitlines() or [""])[0]
 
 
 def member_comments(cls: type) -> dict[str, str]:
-    """Return the comment beside or above each member of a class, inherited members included."""
+    """Return the source comment beside or above each member of a class, including inherited members."""
     found: dict[str, str] = {}
     for one in reversed(cls.__mro__[:-1]):
         try:
@@ -236,7 +236,7 @@ def member_comments(cls: type) -> dict[str, str]:
 
 
 def comment_lines_above(line: int, comment_by_line: dict[int, str], code: list[str]) -> str:
-    """Join the comment lines directly above a line.
+    """Join the comment lines directly above a source line.
 
     Args:
         line: Line number.

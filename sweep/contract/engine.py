@@ -33,7 +33,7 @@ class FootContacts(Protocol):
         ...
 
     def depth(self, trace: "Trace", points: np.ndarray, frames: np.ndarray) -> np.ndarray:
-        """Return how deep points lie inside the obstacle (m), negative outside.
+        """Return how deep points lie inside the obstacle of a trace (m), negative outside.
 
         Args:
             trace: the rollout.
@@ -76,7 +76,7 @@ class Trace:
 
 
 class MissingTrace(NamedTuple):
-    """Stands in for a `Trace` where the rollout's model cannot be compiled for drawing."""
+    """Placeholder for a `Trace` of a rollout whose model cannot be compiled for drawing."""
 
     reason: str
 
@@ -87,7 +87,8 @@ def hinge_and_slide_joints(model: "mujoco.MjModel") -> np.ndarray:
 
 
 def count_substeps(period: float, step: float, message: str) -> int:
-    """Number of physics steps in a control tick.
+    """Return the number of physics steps in a control tick; raise `InputError` with `message` unless it is a whole
+    number.
 
     Args:
         period: length of a control tick (s).
@@ -103,7 +104,7 @@ def count_substeps(period: float, step: float, message: str) -> int:
 
 
 def same_bits(a: Any, b: Any) -> bool:
-    """Return whether two metrics are equal to the last bit.
+    """Return whether two numbers are equal bit for bit.
 
     Args:
         a: number or array; it is compared in double precision.
@@ -116,7 +117,7 @@ def same_bits(a: Any, b: Any) -> bool:
 
 
 class Engine(Protocol):
-    """A compiled simulation of one scenario that takes parameters as data."""
+    """A compiled simulation of one scenario, which receives the parameters of each rollout as data."""
 
     stages: tuple[str, ...]  # names of the plan's stages
     duration: float  # simulated seconds of a rollout
@@ -125,14 +126,14 @@ class Engine(Protocol):
     devices: int  # number that share a batch; a width that they do not divide evenly uses one
 
     def rollout_bytes(self) -> int | None:
-        """Bytes of plan, state and metrics of one rollout; None if C code owns them.
+        """Return the memory of one rollout's plan, state and metrics in bytes; None if C code allocates it.
 
         Temporary arrays within a control tick take several times as much.
         """
         ...
 
     def find_unread_columns(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
-        """Find parameters that cannot change any metric, by analysing the program; nothing is simulated.
+        """Find parameters that cannot change any metric, by analysing the traced program without simulating.
 
         Args:
             sides: world and belief with values of parameters, by column.
@@ -144,7 +145,7 @@ class Engine(Protocol):
         ...
 
     def run(self, world: Any, belief: Any, streams: np.ndarray) -> Metrics:
-        """Simulate a batch.
+        """Simulate a batch of rollouts and return their metrics.
 
         Args:
             world: parameters of the simulated side, numbers or arrays (width,).
@@ -178,7 +179,7 @@ class Engine(Protocol):
         ...
 
     def trace(self, world: Any, belief: Any, streams: np.ndarray, slot: int) -> Trace:
-        """Simulate a batch and record all that a `Trace` holds of the rollout at index `slot`, see `run`."""
+        """Simulate a batch and record a full `Trace` of the rollout at index `slot`."""
         ...
 
     def traces(self, world: Any, belief: Any, streams: np.ndarray, every: int) -> Sequence[Trace | MissingTrace]:

@@ -43,5 +43,5 @@ class EngineSettings:
 
     @property
     def is_fusible(self) -> bool:
-        """Whether the fused compiler may compile the closed loop; it has rules for this package's own dynamics only."""
+        """Whether the fused compiler can compile the closed loop; it only supports this package's own dynamics."""
         return self.compiler != "xla" and self.dynamics != "mjx"

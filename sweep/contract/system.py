@@ -27,7 +27,8 @@ Limits = Any  # of figures, by which a system judges
 
 
 class AuditVariant(NamedTuple):
-    """A variant of the simulation that should not change a rollout's outcome, see `sweep audit`."""
+    """A variant of the simulation, such as a smaller time step, that should not change outcomes; `sweep audit` runs
+    it."""
 
     description: str
     change: Callable[[EngineSettings], EngineSettings] = lambda settings: settings
@@ -35,7 +36,8 @@ class AuditVariant(NamedTuple):
 
 
 class System(Protocol):
-    """The system that a study simulates, at its nominal parameters. Hashable; equal systems simulate alike.
+    """The interface of a simulated system (robot, environment, controller) at nominal parameters. Hashable; equal
+    systems simulate alike.
 
     A column is the path of a parameter such as `contact.friction`, or `engine.name`, prefixed `world.` or `belief.`
     where only one side has it.
@@ -43,17 +45,17 @@ class System(Protocol):
 
     @property
     def case(self) -> Any:
-        """The nominal world, which is also the nominal belief."""
+        """The nominal world, which is also the nominal belief of the controller."""
         ...
 
     @property
     def groups(self) -> Collection[str]:
-        """First parts of parameter paths, except for `engine`."""
+        """Names of the parameter groups, the first parts of parameter paths, without `engine`."""
         ...
 
     @property
     def causes(self) -> Mapping[str, str]:
-        """Meaning of each cause by name, in the order of their definition."""
+        """Meaning of each cause of failure or invalidity by name, in the order of definition."""
         ...
 
     def cause_meanings(self, limits: Limits) -> Mapping[str, str]:
@@ -72,30 +74,30 @@ class System(Protocol):
 
     @property
     def bookkeeping_metrics(self) -> Collection[str]:
-        """Metrics that only serve to derive outcomes."""
+        """Names of metrics that serve only to derive outcomes and are not shown."""
         ...
 
     @property
     def recordable_columns(self) -> Collection[str]:
-        """Columns that can be recorded over time (`study.keep`)."""
+        """Names of the time-series columns that `study.keep` can record."""
         ...
 
     @property
     def replay_formats(self) -> Collection[str]:
-        """Options of `sweep replay` that this system supports."""
+        """Output options of `sweep replay` that this system supports."""
         ...
 
     @property
     def replay_plots(self) -> Mapping[str, Callable[[Trace], "Figure"]]:
-        """Plots of a trace over time, by name."""
+        """Functions that plot a trace over time, by name."""
         ...
 
     def state_values_by_column(self, trace: Trace) -> Mapping[str, np.ndarray]:
-        """Return the numbers (F,) of a trace's states by column, for systems that support `replay --states`."""
+        """Return the numbers of a trace's states over F frames by column, for `replay --states`."""
         ...
 
     def model_xml(self, trace: Trace, settings: EngineSettings) -> str:
-        """Return the MuJoCo model of a trace's world as MJCF, for systems that support `replay --model`.
+        """Return the MuJoCo model of a trace's world as an MJCF text, for `replay --model`.
 
         Args:
             trace: The rollout.
@@ -114,7 +116,7 @@ class System(Protocol):
         ...
 
     def settings_summary(self, settings: EngineSettings) -> Mapping[str, str]:
-        """Summarize what is simulated and how, for readers: values by label."""
+        """Summarize for readers what is simulated and with which settings, as values by label."""
         ...
 
     def source_files(self) -> Mapping[str, Path]:
@@ -122,11 +124,12 @@ class System(Protocol):
         ...
 
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:
-        """Return the description of the parameter in a column. Raises `InputError` for parameters that cannot vary."""
+        """Return unit, bounds and default of the parameter in a column. Raises `InputError` for parameters that cannot
+        vary."""
         ...
 
     def nominal(self, column: str, settings: EngineSettings) -> Any:
-        """Return the nominal value of a parameter. Raises `InputError` where `column` names none."""
+        """Return the nominal value of the parameter in a column. Raises `InputError` for an unknown column."""
         ...
 
     def iterate_physical_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
@@ -138,7 +141,7 @@ class System(Protocol):
         ...
 
     def inputs_left_out_of_point_ids(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
-        """Yield the inputs and values that do not count for point ids, because earlier versions did not have them.
+        """Yield physical inputs at values that point ids leave out, because earlier versions did not have these inputs.
 
         Args:
             paths: Paths that vary.
@@ -146,7 +149,8 @@ class System(Protocol):
         ...
 
     def explain_inactive_column(self, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
-        """Explain why a parameter may change no metric, as one that only the belief uses; empty without a reason."""
+        """Explain why a parameter may not change any metric, such as one that only the belief uses; empty if there is
+        no reason."""
         ...
 
     def find_random_rows(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
@@ -154,7 +158,7 @@ class System(Protocol):
         ...
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
-        """Raise `InputError` where values of a points table, each within its bounds, are not allowed together."""
+        """Raise `InputError` if rows of a points table combine values that are not allowed together."""
         ...
 
     def describe_unsearched_values(self, table: "pd.DataFrame", settings: EngineSettings) -> Iterable[str]:
@@ -173,11 +177,12 @@ class System(Protocol):
         ...
 
     def allocate_delay_buffers(self, table: "pd.DataFrame") -> Self:
-        """Return this system with buffers that hold the longest delay in a points table, none shorter than before."""
+        """Return this system with buffers long enough for the longest sensor delay in a points table, and no shorter
+        than before."""
         ...
 
     def make_engine(self, settings: EngineSettings, world: Any, belief: Any, limits: Limits) -> Engine:
-        """Compile an engine.
+        """Compile the engine that simulates this system with the given settings.
 
         Args:
             settings: Engine settings.
@@ -191,7 +196,7 @@ class System(Protocol):
         ...
 
     def max_rollouts_for_cpu(self, settings: EngineSettings) -> int:
-        """Return the number of rollouts that a CPU finishes before a GPU has started; 0 if unknown."""
+        """Return the number of rollouts up to which a CPU finishes before a GPU would have started; 0 if unknown."""
         ...
 
     def device(self, settings: EngineSettings) -> str:
@@ -199,11 +204,11 @@ class System(Protocol):
         ...
 
     def run_id(self, settings: EngineSettings) -> str:
-        """Hash how a row is simulated: rows are equal bit for bit only where it is equal."""
+        """Hash how rows are simulated; rows with equal hash are reproducible bit for bit."""
         ...
 
     def judge(self, figures: Mapping[str, np.ndarray], limits: Limits, stages: Sequence[str]) -> dict[str, np.ndarray]:
-        """Derive the labels of rows (`sweep.study.columns.LABEL_COLUMNS`) from their stored metrics alone.
+        """Derive the outcome labels of rows (`sweep.study.columns.LABEL_COLUMNS`) from their stored metrics.
 
         Args:
             figures: Metrics (n,) by column.
@@ -216,20 +221,21 @@ class System(Protocol):
         ...
 
     def parse_threshold(self, text: str) -> tuple[str, Any]:
-        """Parse a threshold such as `slip_max_m<0.02` into a key of `outcome` and its value. Raises `InputError`."""
+        """Parse a threshold such as `slip_max_m<0.02` into its key in the group `outcome` and its value. Raises
+        `InputError`."""
         ...
 
     def thresholds(self, limits: Limits) -> Mapping[str, float]:
-        """Return the thresholds by metric column."""
+        """Return the threshold values by metric column."""
         ...
 
     def explain_cause(self, row: Mapping[str, Any], limits: Limits) -> str:
-        """Explain the cause of a row with its metric and threshold; empty for a success."""
+        """Explain why a row failed or is invalid, with metric and threshold; empty for a success."""
         ...
 
 
 class SystemSetup(NamedTuple):
-    """A system with engine settings and thresholds, built from a configuration."""
+    """A system with engine settings and outcome thresholds, as a configuration gives them."""
 
     system: System
     settings: EngineSettings
@@ -247,7 +253,8 @@ def split_side_prefix(column: str) -> tuple[str, str]:
 
 
 def split_world_and_belief(values: ColumnValues) -> dict[str, dict[str, Any]]:
-    """Return the values of each side by path. Values of both sides come first; engine settings are left out."""
+    """Return the values for world and belief by parameter path; values for both sides come first, engine settings are
+    left out."""
     placed = [
         (*split_side_prefix(column), value) for column, value in values.items() if not column.startswith("engine.")
     ]

@@ -9,7 +9,7 @@ BASE_BODY = "base"  # name of the robot's trunk in its model
 
 
 def count_finite_frames(trace: Trace) -> int:
-    """Return the number of frames before the simulation diverged. Raises `ValueError` if it is 0."""
+    """Return the number of trace frames before the simulation diverged. Raises `ValueError` if it is 0."""
     bad = ~np.isfinite(trace.qpos).all(axis=1)
     count = int(np.argmax(bad)) if bad.any() else len(bad)
     if count == 0:
@@ -18,7 +18,7 @@ def count_finite_frames(trace: Trace) -> int:
 
 
 def frames_at_times(trace: Trace, times: np.ndarray) -> np.ndarray:
-    """Return the finite frames nearest to some times.
+    """Return indices of the finite trace frames nearest to given times (s).
 
     Args:
         trace: The rollout.
@@ -34,7 +34,7 @@ def frames_at_times(trace: Trace, times: np.ndarray) -> np.ndarray:
 
 
 def frames_at_rate(trace: Trace, rate: float) -> np.ndarray:
-    """Choose frames of a trace at an even rate.
+    """Return indices of trace frames at a constant frame rate (1/s).
 
     Args:
         trace: The rollout's states over time.
@@ -48,7 +48,7 @@ def frames_at_rate(trace: Trace, rate: float) -> np.ndarray:
 
 
 def base_body_id(model: mujoco.MjModel) -> int:
-    """Return the id of the robot's trunk.
+    """Return the body id of the robot's base in a MuJoCo model.
 
     This is the moving body named `base`, else the first body with a free joint, else the first that moves.
     """
@@ -77,12 +77,12 @@ def joint_positions(trace: Trace) -> np.ndarray:
 
 
 def joint_rates(trace: Trace) -> np.ndarray:
-    """Return rates (F, J) of the `hinge_and_slide_joints`, rad/s or m/s."""
+    """Return the rates (F, J) of all hinge and slide joints, rad/s or m/s."""
     return trace.qvel[:, trace.model.jnt_dofadr[hinge_and_slide_joints(trace.model)]]
 
 
 def joint_names(model: mujoco.MjModel) -> list[str]:
-    """Return the names of the `hinge_and_slide_joints`."""
+    """Return the names of all hinge and slide joints in the model's order."""
     return [model.joint(joint).name or f"joint_{joint}" for joint in hinge_and_slide_joints(model)]
 
 

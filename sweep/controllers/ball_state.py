@@ -18,7 +18,7 @@ FORE = (-1.0, -1.0, 0.0, 0.0, 1.0, 1.0)  # direction of rear, middle and front l
 
 
 def centre_of_mass(robot: Robot, stance: Stance) -> Float[Array, " 3"]:
-    """Return the mass centre r_m (m) of a stance, world axes: monograph (3.1.9).
+    """Return the mass centre r_m (m, world axes) of a robot in a given stance: monograph (3.1.9).
 
     Args:
         robot: the robot, as believed.
@@ -28,7 +28,8 @@ def centre_of_mass(robot: Robot, stance: Stance) -> Float[Array, " 3"]:
 
 
 def mass_centre_jacobian(robot: Robot, stance: Stance) -> Float[Array, "2 2"]:
-    """Return the horizontal part of D in (3.1.1): how the mass centre moves with the base while the feet stand.
+    """Return the Jacobian D (2, 2) of the mass centre's horizontal position by the base's while the feet stand:
+    (3.1.1).
 
     Args:
         robot: the robot, as believed.
@@ -43,7 +44,7 @@ def mass_centre_jacobian(robot: Robot, stance: Stance) -> Float[Array, "2 2"]:
 
 
 def base_shift(robot: Robot, stance: Stance, wanted: Float[Array, " 2"]) -> Float[Array, " 2"]:
-    """Return the horizontal base shift (m) that shifts the mass centre by `wanted`: D^-1 of (3.1.1).
+    """Return the horizontal base shift (m) that moves the mass centre by `wanted` (m), by the inverse of D in (3.1.1).
 
     The shift is 0 if a leg is at full length, where D is not defined.
 
@@ -58,7 +59,7 @@ def base_shift(robot: Robot, stance: Stance, wanted: Float[Array, " 2"]) -> Floa
 
 
 def measured_stance(robot: Robot, obs: Observation) -> Stance:
-    """Return the measured stance, world axes.
+    """Return the stance (feet and base pose, world axes) that follows from an observation.
 
     Args:
         robot: the robot, as believed.
@@ -93,7 +94,8 @@ def angular_momentum(robot: Robot, ball: Ball, obs: Observation) -> Float[Array,
 
 
 def lean_impulse(momentum: Float[Array, " 3"], mass: Array | float) -> Float[Array, " 2"]:
-    """Return K_S x g/(m g^2) (m s): the lean of the mass centre, times its duration, that cancels the momentum K_S.
+    """Return the lean of the mass centre times its duration (m s) that cancels the angular momentum K_S: K_S x g/(m
+    g^2).
 
     Args:
         momentum: angular momentum K_S (N m s), world axes.
@@ -103,7 +105,7 @@ def lean_impulse(momentum: Float[Array, " 3"], mass: Array | float) -> Float[Arr
 
 
 def ball_footholds(radius: Array | float, circle: Array | float, chord: Array | float) -> Float[Array, "6 3"]:
-    """Return the footholds on a ball relative to its centre (m), x ahead: list after fig. 3.1.7.
+    """Return the footholds of the six feet on a ball relative to its centre (m), x ahead: list after fig. 3.1.7.
 
     The printed list exchanges legs i and 7 - i.
 
@@ -121,7 +123,7 @@ def ball_footholds(radius: Array | float, circle: Array | float, chord: Array | 
 def turn_footholds_back(
     feet: Float[Array, "6 3"], alpha: Array | float, along: Float[Array, " 2"]
 ) -> Float[Array, "6 3"]:
-    """Return footholds turned by an angle against the ball's direction of motion: the turned foot frame.
+    """Return footholds on a ball turned back by an angle against the ball's direction of motion.
 
     A ball that rolls forward carries the feet on its top forward. Their circle is thus as far behind the vertical at
     touchdown as it is ahead of it at lift-off.
@@ -136,7 +138,7 @@ def turn_footholds_back(
 
 
 def swing_over_ball(start: Array, goal: Array, share: Array, phase: Array, height: Array) -> Float[Array, "6 3"]:
-    """Return swinging feet on an arc over the ball, relative to its centre (m).
+    """Return the positions of swinging feet on an arc over the ball, relative to its centre (m).
 
     Args:
         start: feet at lift-off (m, from the centre), (6, 3).

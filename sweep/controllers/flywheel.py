@@ -23,7 +23,7 @@ TURNING[RIGHT] = TURNING[LEFT] = True
 
 
 class FlywheelGains(NamedTuple):
-    """Feedback gains of the flywheel, c_1 to c_6 of monograph 2.6.2; made by the beam manoeuvres."""
+    """Feedback gains of the flywheel controller, c_1 to c_6 of monograph 2.6.2; made by the beam manoeuvres."""
 
     c1: Array | float  # N/m
     c2: Array | float  # N s/m
@@ -37,7 +37,7 @@ class FlywheelGains(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Flywheel(Layer):
-    """Layer that balances the body with the middle legs, over S stages."""
+    """Tracker layer that balances the body with the middle legs as a flywheel, over S stages."""
 
     mode: Int[Array, " s"]  # `LOCKED`, `LEVELLING` or `BALANCE`
     gains: FlywheelGains

@@ -1,4 +1,4 @@
-"""Transformation of stances between the world and the frames of free bodies (`sweep/models/frames.py`)."""
+"""Transformation of points and stances between world axes and the frames of the obstacle's free bodies."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -10,7 +10,7 @@ from sweep.models.posture import Stance
 
 
 def to_world(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeState) -> Float[Array, "n 3"]:
-    """Transform points from their frames to world axes.
+    """Transform points from their coordinate frames (numbered by `frame`) to world axes.
 
     Args:
         points: points (m), each in its own frame.
@@ -25,7 +25,7 @@ def to_world(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeSta
 
 
 def to_frame(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeState) -> Float[Array, "n 3"]:
-    """Transform points from world axes to their frames; the inverse of `to_world`.
+    """Transform points from world axes to their coordinate frames; the inverse of `to_world`.
 
     Args:
         points: points (m), world axes.
@@ -41,7 +41,7 @@ def to_frame(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeSta
 
 
 def surface_under(obstacle: Obstacle, feet: Float[Array, "6 3"], frame: Int[Array, " 6"]) -> Surface:
-    """Return the obstacle's surface at footholds, with its free bodies where they start.
+    """Return the obstacle's surface under footholds, with its free bodies at their start poses.
 
     Args:
         obstacle: the obstacle.

@@ -29,7 +29,7 @@ LONE_CREEP_FACTOR = 3.0
 
 
 class TickContext(NamedTuple):
-    """One control tick as layers and guided manoeuvres see it; made by the tracker."""
+    """State of one control tick that tracker layers and guided manoeuvres receive; made by the tracker."""
 
     robot: Robot  # as believed
     plan: Plan
@@ -82,7 +82,7 @@ class Layer:
     def body_reference(
         self, plan: Plan, state: Any, stage: Int[Array, ""], clock: Float[Array, ""], free: FreeState
     ) -> FreeState:
-        """Return the reference state of the free bodies that the stage uses.
+        """Return the reference state of the obstacle's free bodies in this stage.
 
         Args:
             plan: the plan that is followed.
@@ -96,7 +96,7 @@ class Layer:
     def on_stage_enter(
         self, stage: Int[Array, ""], state: Any, last_free: FreeState, free: FreeState
     ) -> tuple[Any, FreeState]:
-        """Return the layer's state and the reference of the free bodies when a stage starts.
+        """Return the layer's state, and the reference state of the free bodies, at the start of a stage.
 
         Args:
             stage: number of the stage that starts.
@@ -107,7 +107,7 @@ class Layer:
         return state, free
 
     def ignores_base_pose(self, stage: Int[Array, ""]) -> Bool[Array, ""] | bool:
-        """Return whether the measured base pose says nothing about the feet in this stage."""
+        """Return whether the measured base pose must not be used to correct the feet in this stage."""
         return False
 
     def update_footholds(self, ctx: TickContext, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
@@ -139,12 +139,12 @@ class Layer:
         return state, command
 
     def modify_joint_targets(self, ctx: TickContext, joints: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
-        """Return the targets (rad) to send to the drives so that the joints reach `joints`."""
+        """Return the joint targets (rad) to send to the drives so that the joints reach the angles `joints`."""
         return joints
 
 
 class GradualFootholdState(NamedTuple):
-    """State of `GradualFootholds`: where the feet are on the way to their new footholds. World axes."""
+    """State of the layer `GradualFootholds`: commanded feet on the way to their new footholds, world axes."""
 
     command: Float[Array, "6 3"]  # m, feet in the last tick, from the origins of their frames
     offset: Float[Array, "6 3"]  # m, last command before the stage minus the foothold
@@ -158,13 +158,13 @@ class GradualFootholds(Layer):
     time: Float[Array, ""]  # s, duration of the transition
 
     def init_state(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> GradualFootholdState:
-        """Return the state with all feet at their footholds."""
+        """Return the initial state, with all feet at their footholds."""
         return GradualFootholdState(start.feet, jnp.zeros_like(start.feet))
 
     def modify_stance(
         self, ctx: TickContext, state: GradualFootholdState, target: Stance
     ) -> tuple[GradualFootholdState, Stance]:
-        """Blend each foot linearly from its last command to its foothold within `time`."""
+        """Blend each foot linearly from its last command to its foothold within the layer's `time`."""
         frame, zeros = ctx.plan.foot_frame, jnp.zeros((6, 3))
         before, origin = (to_world(zeros, frame[stage], ctx.free) for stage in (ctx.last_stage, ctx.stage))
         left = jnp.where(ctx.is_first_tick, state.command + before - target.feet, state.offset)
@@ -225,19 +225,19 @@ class ForceFeedforward(Layer):
     anchoring: Float[Array, ""]  # s, time constant with which footholds of loaded feet follow the measured feet
 
     def init_state(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> Float[Array, " 6"]:
-        """Return zero distances (m): no foot has moved on yet."""
+        """Return the initial state: the distance (m) that each foot has crept into the surface, zero."""
         return jnp.zeros(len(joints))
 
     def on_stage_enter(
         self, stage: Int[Array, ""], state: Float[Array, " 6"], last_free: FreeState, free: FreeState
     ) -> tuple[Float[Array, " 6"], FreeState]:
-        """Reset the state to zero: in the new stage no foot has moved on alone (m). `free` stays as measured."""
+        """Reset the distances (m) that feet have crept into the surface to zero; free bodies stay as measured."""
         return jnp.zeros_like(state), free
 
     def modify_stance(
         self, ctx: TickContext, state: Float[Array, " 6"], target: Stance
     ) -> tuple[Float[Array, " 6"], Stance]:
-        """Move late feet on into the surface; those still without load after `CREEP_TIME` go further, and faster.
+        """Move feet that have not touched down yet farther into the surface, and faster after `CREEP_TIME`.
 
         A foot that may carry load is excluded, since it would push the base away. The extra motion starts once the
         measured load would have shown a touchdown in time.
@@ -284,7 +284,7 @@ class ForceFeedforward(Layer):
 def interpolate_moments(
     values: Float[Array, "s k 6 3"], stage: Int[Array, ""], phase: Float[Array, ""]
 ) -> Float[Array, "6 3"]:
-    """Interpolate linearly between values at evenly spaced moments of each stage.
+    """Interpolate linearly between values given at evenly spaced times of each stage.
 
     Args:
         values: values at k evenly spaced moments, from the start to the end of each stage.

@@ -49,7 +49,7 @@ class SensorBiases(NamedTuple):
 
 
 class SensorState(NamedTuple):
-    """State of the sensors in a rollout: its biases, and the true observations of past ticks in a ring buffer.
+    """State of the sensors in a rollout: constant errors, and the true observations of past ticks in a ring buffer.
 
     Made by `init_sensors`.
     """
@@ -121,7 +121,7 @@ def init_sensors(noise: Noise, key: Array, truth: Observation, has_errors: bool 
 def observe(
     noise: Noise, sensors: SensorState, truth: Observation, key: Array, tick: Array | int
 ) -> tuple[SensorState, Observation]:
-    """Return the delayed, biased and noisy measurement of a true state.
+    """Return the measurement of a true state with delay, bias and noise.
 
     Joint errors act on the feedback of the drives in the same tick, hence they are not delayed.
 
@@ -209,7 +209,7 @@ def _draw_body_errors(key: Array, sizes: tuple[Array | float, ...], free: FreeSt
 
 
 class FreeBodyFilterState(NamedTuple):
-    """State of the free-body filter: two complementary filters in series.
+    """State of the filter for measured poses of free bodies: two complementary filters in series.
 
     With a single filter, feet that stand on a body would still get a jump in velocity at every tick. Made by the
     tracker for manoeuvres on free bodies.
@@ -222,7 +222,7 @@ class FreeBodyFilterState(NamedTuple):
 def filter_body_pose(
     observer: FreeBodyFilterState, measured: FreeState, time_constant: Array | float, period: float
 ) -> FreeBodyFilterState:
-    """Advance the free-body filter by one control tick.
+    """Advance the filter for measured poses of free bodies by one control tick.
 
     Each of the two complementary filters integrates the measured velocities and is corrected towards the pose before it
     with half of the time constant. Steady motion is therefore followed without lag.

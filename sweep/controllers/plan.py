@@ -39,7 +39,7 @@ STAND = 0.5  # s, standing before the first and after the last swing
 
 
 class SupportMotion(NamedTuple):
-    """Reference motion of a free body in a stage, from its measured state on; in a plan, over S stages and k bodies.
+    """Reference motion of the free body that supports the robot in a stage, starting from its measured state.
 
     - `TO_VELOCITY`: to a velocity and angular velocity at the end of the stage, at constant acceleration: monograph
       (3.3.5). A starting velocity into the floor counts as 0: a ball that rattles on the floor falls for some ticks,
@@ -61,7 +61,7 @@ RESTS, STAYS = SupportMotion(TO_VELOCITY), SupportMotion(KEPT)
 
 @dataclass(frozen=True)
 class Stage:
-    """One stage of a plan as manoeuvres write it; fields that are None keep their value of the stage before."""
+    """One stage of a plan as manoeuvres write it; fields that are None keep the value of the previous stage."""
 
     name: str
     duration: Array | float  # s
@@ -98,7 +98,7 @@ class Stage:
 
 
 class SwingCurves(NamedTuple):
-    """Swings of all feet, over S stages."""
+    """Swing curves of all six feet as arrays over S stages."""
 
     cycle: Int[Array, " s"]
     height: Float[Array, " s"]  # m
@@ -109,7 +109,7 @@ class SwingCurves(NamedTuple):
 
 
 class BasePaths(NamedTuple):
-    """Path and progress of the base, over S stages."""
+    """Path of the base and its timing as arrays over S stages."""
 
     pace: Int[Array, " s"]
     rates: Float[Array, "s 2"]
@@ -143,11 +143,11 @@ class Plan:
     laws: tuple[str, ...] = field(default=(), metadata={"static": True})  # by stage
 
     def find_layer[T](self, kind: type[T]) -> T | None:
-        """Return the layer of a class; None if the plan has none."""
+        """Return the plan's tracker layer of class `kind`; None if the plan has none."""
         return next((layer for layer in self.layers if isinstance(layer, kind)), None)
 
     def with_layer(self, layer: Any) -> "Plan":
-        """Return the plan with this layer added, or in place of the layer of the same class."""
+        """Return the plan with this tracker layer added, or in place of its layer of the same class."""
         return replace(self, layers=(*(other for other in self.layers if not isinstance(other, type(layer))), layer))
 
 
@@ -181,7 +181,7 @@ def path_length(plan: Plan) -> Float[Array, ""]:
 
 
 def swing_progress(cycle: Int[Array, ""], carry: Array, phase: Float[Array, ""]) -> tuple[Array, Array]:
-    """Return progress lambda and lift y' + y_s of a swing at a phase.
+    """Return progress lambda (0 to 1) and lift y' + y_s of a swinging foot at a phase.
 
     Args:
         cycle: swing profile, such as `CYCLE_A`.
@@ -203,7 +203,7 @@ def swing_progress(cycle: Int[Array, ""], carry: Array, phase: Float[Array, ""])
 
 
 def is_guided_by_law(plan: Plan, stage: Int[Array, ""], *laws: str) -> Bool[Array, ""]:
-    """Return whether a stage is guided by one of these laws.
+    """Return whether one of these feedback laws guides a stage.
 
     Args:
         plan: the plan.
@@ -216,7 +216,7 @@ def is_guided_by_law(plan: Plan, stage: Int[Array, ""], *laws: str) -> Bool[Arra
 def stage_start_pose(
     plan: Plan, stage: Int[Array, ""], free: FreeState
 ) -> tuple[Float[Array, "6 3"], Float[Array, " 3"]]:
-    """Return feet and base at the start of a stage as planned, in the frames of the stage.
+    """Return planned feet and base position at the start of a stage, in the stage's frames.
 
     Args:
         plan: the plan.
@@ -255,7 +255,7 @@ def reference_stance(
     position: Float[Array, " 3"],
     goal: Float[Array, "6 3"] | None = None,
 ) -> Stance:
-    """Return the planned stance at a phase of a stage, in the frames of the stage.
+    """Return the planned stance at a phase of a stage, in the stage's frames.
 
     The base goes along an elliptic arc about `pivot`, on a circle through equal angles for equal shares of the path; an
     arc of 0 is a straight line. Swinging feet go along a step cycle, or along a cubic Bezier curve through two control

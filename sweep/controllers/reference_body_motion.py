@@ -24,7 +24,7 @@ LOWEST = (-np.inf, -np.inf, 0.0)  # m/s, least velocity of a body on a floor
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class ReferenceBodyMotion(Layer):
-    """Layer with the reference motion of k free bodies over S stages, as `Stage.support` gives it.
+    """Tracker layer with the reference motion of k free bodies over S stages, from `Stage.support`.
 
     The state is the bodies' state at the start of the stage. Made by `compile_plan`.
     """
@@ -34,13 +34,13 @@ class ReferenceBodyMotion(Layer):
     afloat: bool = field(metadata={"static": True})
 
     def init_state(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> FreeState:
-        """Return the state of the bodies at the start."""
+        """Return the initial layer state: the free bodies' states at the start."""
         return free
 
     def body_reference(
         self, plan: Plan, state: FreeState, stage: Int[Array, ""], clock: Float[Array, ""], free: FreeState
     ) -> FreeState:
-        """Return the reference state of the bodies at this time of the stage."""
+        """Return the reference state of the free bodies at time `clock` (s) of the stage."""
         support = jax.tree.map(lambda x: x[stage], self.support)
         return (floating_reference_motion if self.afloat else reference_motion)(
             support, state, free, clock, plan.duration[stage]
@@ -58,7 +58,7 @@ class ReferenceBodyMotion(Layer):
 def reference_motion(
     support: SupportMotion, start: FreeState, measured: FreeState, clock: Array, duration: Array
 ) -> FreeState:
-    """Return the reference state of free bodies at a time of a stage; it stays at its end after the stage's duration.
+    """Return the reference state of free bodies at time `clock` (s) of a stage; constant after the stage's duration.
 
     Args:
         support: reference motion of each body, leading axis k.
@@ -108,7 +108,7 @@ def reference_motion(
 def floating_reference_motion(
     support: SupportMotion, start: FreeState, measured: FreeState, clock: Array, duration: Array
 ) -> FreeState:
-    """Return the reference state of floating bodies: only the plane motion is planned, height and tilt are as measured.
+    """Return the reference state of floating bodies: planned motion in the plane, measured height and tilt.
 
     For `ALONGSIDE` bodies, y and height of the pose to reach are those at the start of the stage.
 

@@ -27,7 +27,7 @@ LEFT = np.array([0.0, 1.0, 0.0], np.float32)  # left of the base, base axes
 
 
 class PoseError(NamedTuple):
-    """Deviation of the base from a stage's reference at its start, world axes; made by the tracker."""
+    """Deviation of the base from its reference at the start of a stage, world axes; made by the tracker."""
 
     position: Float[Array, " 3"]  # m
     turn: Float[Array, " 3"]  # rad, rotation vector
@@ -60,12 +60,12 @@ class Guidance(NamedTuple):
 
 
 class FeedbackLaw(Protocol):
-    """Feedback that replans each tick from measurements: of a guided manoeuvre, or of one of its stages."""
+    """Feedback law that replans each tick from measurements, for a whole manoeuvre or for some of its stages."""
 
     ends_stages: ClassVar[bool]  # whether it may end a stage early; `duration` of a stage is then its longest time
 
     def init_memory(self, belief: Case, plan: Plan) -> Any:
-        """Return the state of the feedback before the first tick."""
+        """Return the feedback law's state before the first tick."""
         ...
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
@@ -79,7 +79,7 @@ class FeedbackLaw(Protocol):
         ...
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
-        """Return whether the event that the current stage waits for has occurred; called if it `ends_stages`."""
+        """Return whether the event that ends the current stage has occurred; called only if the law `ends_stages`."""
         ...
 
 
@@ -275,7 +275,7 @@ def _advance(
 
 
 class StageStart(NamedTuple):
-    """Footholds and base error with which a stage starts, world axes. Made by the rule that `Plan.onset` names."""
+    """Footholds and base error with which a stage starts, world axes; made by the rule that the plan selects."""
 
     feet: Float[Array, "6 3"]  # m, footholds
     error: PoseError  # of the base
@@ -356,7 +356,7 @@ def _blend_from_last_target(ctx: TickContext, last_target: Stance, state: Tracke
 
 
 def reference_body_state(plan: Plan, state: TrackerState, free: FreeState) -> tuple[FreeState, Bool[Array, ""] | bool]:
-    """Return the reference state of free bodies in the current stage, and whether the base pose is ignored.
+    """Return the reference state of free bodies in the current stage, and whether the measured base pose is ignored.
 
     Args:
         plan: the plan to follow.

@@ -26,11 +26,11 @@ class Arguments(argparse.ArgumentParser):
         self.register("type", Path, _path)
 
     def error(self, message: str) -> NoReturn:
-        """Raise `InputError` with the message of argparse rewritten to one line, see `usage_error`."""
+        """Raise `InputError` with argparse's message rewritten to one line with a suggestion."""
         raise make_usage_error(message, self.prog, list_flags(self))
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[argparse.Namespace, list[str]]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Parse arguments.
+        """Parse the known arguments and return them with the remaining words, as in argparse.
 
         Args:
             args: Words of the command line; `sys.argv[1:]` if None.

@@ -15,7 +15,8 @@ GOAL, UNTRUSTED = "goal", "untrusted"
 
 
 class Condition(NamedTuple):
-    """A cause of failure or invalidity, which holds where its condition does; for the goal, where it does not."""
+    """A cause of failure or invalidity given as a condition on metrics; for the goal, the cause applies where it does
+    not hold."""
 
     cause: str
     threshold_key: str  # in `outcome`
@@ -23,11 +24,11 @@ class Condition(NamedTuple):
 
     @property
     def meaning(self) -> str:
-        """What the condition means, in words."""
+        """Description of the cause in words, for tables."""
         return f"not {self.text}" if self.cause == GOAL_MISSED else self.text
 
     def judge(self, columns: ColumnArrays) -> CauseVerdicts:
-        """Return which rows (n,) the cause applies to, by their metrics at the end of the rollout."""
+        """Return which rows (n,) the cause applies to, judged by their metrics at the end of the rollout."""
         found = np.asarray(evaluate_expression(self.text, columns.__getitem__))
         holds = ~found if self.cause == GOAL_MISSED else found
         invalid, none = self.cause == UNTRUSTED, np.zeros(holds.shape, int)
@@ -36,7 +37,8 @@ class Condition(NamedTuple):
 
     @property
     def threshold(self) -> tuple[str, float, bool] | None:
-        """Metric, threshold, and whether the cause holds below it, of a condition `metric < number`; else None."""
+        """Metric, threshold, and whether the cause applies below it, if the condition is `metric < number` or similar;
+        else None."""
         match ast.parse(self.text, mode="eval").body:
             case ast.Compare(ast.Name(name), [ast.Lt() | ast.LtE() | ast.Gt() | ast.GtE() as sign], [number]):
                 with suppress(ValueError, TypeError):
@@ -47,7 +49,7 @@ class Condition(NamedTuple):
         return None
 
     def margin(self, columns: ColumnArrays) -> np.ndarray:
-        """Return the distance of rows (n,) from the threshold in units of it, at most 1; NaN without a threshold."""
+        """Return the distance of rows (n,) from the threshold as a share of it, at most 1; NaN without a threshold."""
         if self.threshold is None:
             return np.full(len(next(iter(columns.values()))), np.nan)
         name, value, below = self.threshold
@@ -58,7 +60,7 @@ class Condition(NamedTuple):
 def parse_conditions(
     config: Mapping[str, Any], columns: Collection[str], reserved_names: Collection[str]
 ) -> tuple[Condition, ...]:
-    """Read the conditions of a configuration.
+    """Read the causes that a configuration gives as conditions on metrics.
 
     Args:
         config: Conditions by key of `outcome`.

@@ -1,4 +1,4 @@
-"""Questions about the distinct values of a column that need neither a table of them all nor, mostly, a whole pass."""
+"""Count and rank the distinct values of a column without building a table of all values."""
 
 from typing import TYPE_CHECKING
 
@@ -18,7 +18,7 @@ def has_several_values(values: "pd.Series") -> bool:
 
 
 def count_distinct(values: "pd.Series", most: int) -> int:
-    """Count the distinct values of a column, up to a number that settles the matter.
+    """Count the distinct values of a column; stop counting above `most`.
 
     Args:
         values: Values (n,); missing ones do not count.
@@ -38,7 +38,7 @@ def are_all_different(values: np.ndarray) -> bool:
 
 
 def rank_distinct_values(values: np.ndarray) -> np.ndarray:
-    """Return the place (n,) of each of some whole numbers (n,) among their distinct values in rising order."""
+    """Return the rank (n,) of each integer of an array (n,) among its distinct values in ascending order."""
     low, high = (int(end) for end in (values.min(initial=0), values.max(initial=0)))
     if high - low > 4 * len(values):  # a table of all that lie between would be large
         return np.unique(values, return_inverse=True)[1]

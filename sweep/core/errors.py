@@ -9,7 +9,7 @@ CONTROL_CHARACTERS = re.compile(rf"[{CONTROL_CHARACTER_RANGES}\t\n\x85]")
 
 
 class InputError(ValueError):
-    """An error in the user's input. The message is one line with the key, the value and what is allowed."""
+    """An error in the user's input, with a message of one line that names the key, the value and what is allowed."""
 
     def __str__(self) -> str:
         return escape_control_characters(super().__str__())
@@ -19,14 +19,15 @@ USER_CODE_ERRORS = (Exception, SystemExit)  # what user code may raise, `sys.exi
 
 
 class Fault(RuntimeError):
-    """A valid run that failed because of the machine: its disk, memory or workers. The command can be repeated."""
+    """Failure of a valid run because of the machine: its disk, memory or workers. The command can be repeated."""
 
     def __str__(self) -> str:
         return f"{escape_control_characters(super().__str__())}; finished rollouts are kept, repeat the command"
 
 
 def escape_control_characters(text: str) -> str:
-    """Escape line breaks, commands to a terminal and marks of writing direction, which a file's name may have."""
+    """Escape line breaks, terminal control sequences and bidirectional marks, which untrusted file names may
+    contain."""
     return CONTROL_CHARACTERS.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
@@ -80,7 +81,7 @@ def suggest_nearest(word: str, names: Iterable[str], count: int = 5) -> str:
 
 
 def require_choice(word: object, allowed: Iterable[str], label: str) -> None:
-    """Require a name to be one of those that are allowed.
+    """Raise `InputError` unless a name is one of those allowed.
 
     Args:
         word: The name.

@@ -1,4 +1,5 @@
-"""Row conditions such as `friction > 0.8 and engine.name == "mjx"`, and formulas. They are never executed as Python."""
+"""Row conditions such as `friction > 0.8 and engine.name == "mjx"`, and formulas, evaluated without executing Python
+code."""
 
 import ast
 import operator
@@ -46,7 +47,7 @@ _UNARY: dict[type, Callable[[Any], Any]] = {
 
 
 def condition_mask(frame: "pd.DataFrame", condition: str | None) -> np.ndarray:
-    """Select the rows of a table that meet a condition.
+    """Return the mask of the table rows that meet a condition.
 
     Args:
         frame: Rows of a study.
@@ -70,7 +71,7 @@ def condition_mask(frame: "pd.DataFrame", condition: str | None) -> np.ndarray:
 
 
 def condition_columns(frame: "pd.DataFrame", condition: str | None) -> list[str]:
-    """Return the columns that a condition names.
+    """Return the columns of a table that a condition uses.
 
     Args:
         frame: A table with the columns of a study's rows; it may be empty.
@@ -97,7 +98,7 @@ def _message_parts(condition: str) -> tuple[str, str]:
 
 
 def evaluate_condition(condition: str, look_up: Callable[[str], Any], label: str, example: str) -> np.ndarray:
-    """Evaluate a condition such as `tilt_max_deg > 60`.
+    """Evaluate a condition such as `tilt_max_deg > 60` on values that `look_up` returns by name.
 
     Args:
         condition: The text.

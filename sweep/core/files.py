@@ -68,7 +68,8 @@ def remove_unfinished_files() -> None:
 
 
 def path_inside_folder(folder: Path, name: str | Path) -> Path:
-    """Return the path of a file or folder inside a results folder, which may come from a stranger.
+    """Return the path of a file inside a results folder; raise an error if the name, which may be untrusted, leads
+    outside.
 
     Every read, write and removal in a results folder goes through this check.
 
@@ -102,7 +103,7 @@ def path_inside_folder(folder: Path, name: str | Path) -> Path:
 
 
 def read_bytes_limited(path: Path, most: int = MAX_READ_BYTES) -> bytes:
-    """Read a file of a results folder, which may have holes that take no room on the disk.
+    """Read a file of a results folder, which may be untrusted, up to a number of bytes.
 
     Args:
         path: The file.
@@ -159,7 +160,7 @@ def encode_text(content: bytes) -> str:
 
 
 def decode_text(text: str) -> bytes:
-    """Decode what `encode_text` made.
+    """Decode text from `encode_text` into bytes.
 
     Raises:
         ValueError: The text is damaged, or stands for more than `MAX_DECODED_BYTES` bytes.

@@ -1,4 +1,5 @@
-"""Table of the configuration groups, of which `group=choice` selects a file and `group.name=value` sets a parameter.
+"""Table of the configuration groups: `group=choice` selects a file of a group, `group.name=value` sets one of its
+parameters.
 
 Schemas, `sweep list`, completion and the folders of a project follow from this table. A `Case` holds the groups of a
 rollout.
@@ -10,7 +11,7 @@ from typing import Any, NamedTuple
 
 
 class ConfigGroup(NamedTuple):
-    """A configuration group. Its classes are given as text, so that listing groups imports no simulator."""
+    """A configuration group. Its parameter classes are named as text, so that listing groups imports no simulator."""
 
     class_location: str  # module:name of its parameter dataclass, or of all of them by their `kind`
     in_case: bool = False  # whether a rollout's world and belief have it

@@ -1,4 +1,4 @@
-"""Ctrl-C that ends the process soon, even while a compiler or another library holds the main thread."""
+"""Handling of Ctrl-C: the process ends soon even while a compiler or another library holds the main thread."""
 
 import os
 import signal

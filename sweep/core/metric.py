@@ -1,4 +1,4 @@
-"""Metrics and causes: the one contract for every simulated system.
+"""Metrics and causes of failure: the interfaces that all simulated systems share.
 
 A metric turns a rollout into numbers, each of which becomes a column. It declares
 
@@ -37,7 +37,7 @@ def array_namespace(array: Array) -> Any:
 
 
 class CommonStart(Protocol):
-    """What every system offers to `Metric.begin`: the rollout before its first tick."""
+    """State of a rollout before its first tick, as every system gives it to `Metric.begin`."""
 
     @property
     def base_position(self) -> Array:
@@ -51,16 +51,16 @@ class CommonStart(Protocol):
 
     @property
     def command_direction_varies(self) -> bool:
-        """Whether the commanded direction changes on the way, see `CommonTick.motion_along_command`."""
+        """Whether the commanded direction of motion changes during the rollout."""
         ...
 
     @property
     def torque_groups(self) -> int:
-        """Number k of groups of joints, see `CommonTick.joint_torques`."""
+        """Number k of joint groups for which torques are reported."""
         ...
 
     def constant_state(self, value: Any) -> Array:
-        """Return a constant as a state: of the rollout's precision, for each rollout of a batch."""
+        """Return a constant as a metric state, in the rollout's precision, for each rollout of a batch."""
         ...
 
     def init_touchdown_points(self) -> "TouchdownPoints":
@@ -69,7 +69,7 @@ class CommonStart(Protocol):
 
 
 class CommonTick(Protocol):
-    """What every system reports to `Metric.update`: the s samples since the previous report.
+    """Report of every system to `Metric.update`: the s samples since the previous report.
 
     The hexapod reports one sample at the end of each control tick. MuJoCo models report every physics step: `native`
     all those of a tick at once, `mjx` one at a time. A metric must not depend on how samples are grouped.
@@ -97,7 +97,7 @@ class CommonTick(Protocol):
 
     @property
     def tilt_deg(self) -> Array:
-        """Largest angle (...) between the upward axes of the base and of its reference.
+        """Largest angle (...) in degrees between the upward axes of the base and of its reference.
 
         The reference is the commanded orientation, or that of the start where nothing commands one.
         """
@@ -122,7 +122,8 @@ class CommonTick(Protocol):
         ...
 
     def motion_along_command(self, before: Array) -> tuple[Array | None, Array]:
-        """Return how far the base went along the commanded direction, and for how long the command moved it.
+        """Return how far the base moved along the commanded direction since the previous report, and how long the
+        command moved it.
 
         Args:
             before: Position of the base (..., 3) at the report before.
@@ -135,11 +136,11 @@ class CommonTick(Protocol):
 
 
 class CommonRollout(Protocol):
-    """What every system offers to `Metric.compute`: the rollout after its last tick."""
+    """State of a rollout after its last tick, as every system gives it to `Metric.compute`."""
 
     @property
     def columns(self) -> Mapping[str, Array]:
-        """Columns of other metrics, those that `Metric.reads` names at least."""
+        """Columns of other metrics, at least those that `Metric.reads` names."""
         ...
 
     @property
@@ -153,25 +154,25 @@ class CommonRollout(Protocol):
         ...
 
     def integrate_sum(self, total: Array) -> Array:
-        """Convert a sum of `CommonTick` numbers into an integral over time, in SI units."""
+        """Convert a sum over samples, as metrics accumulate it, into an integral over time in SI units."""
         ...
 
     def displacement_along(self, displacement: Array) -> Array:
-        """Return the part of displacements (..., 3) along a commanded direction that never changes."""
+        """Return the component of displacements (..., 3) along the commanded direction, which must be constant."""
         ...
 
 
 class TouchdownPoints(Protocol):
-    """Points where the feet touched down, by the system's own contact rule; a metric's state, hence a pytree."""
+    """Touchdown points of the feet by the system's contact rule; state (a pytree) of the slip metric."""
 
     def update(self, ctx: Any) -> tuple["TouchdownPoints", Array]:
-        """Return the state after a report, and the largest slip of each loaded foot (..., feet) in it (m)."""
+        """Return the state after a report, and the largest slip (..., feet) in m of each loaded foot in it."""
         ...
 
 
 class ContinuousTwin(NamedTuple):
-    """A continuous metric that crosses its limit when a count metric misses its threshold; gives the count a smooth
-    margin."""
+    """A continuous metric that crosses its limit exactly when a count metric misses its threshold, so that the count
+    has a smooth margin."""
 
     metric: str
     limit: float
@@ -179,7 +180,8 @@ class ContinuousTwin(NamedTuple):
 
 
 class LeadingMetric(NamedTuple):
-    """A metric that shrinks to zero before the metric of a cause can grow; at zero nothing has failed yet."""
+    """A metric that falls to zero before another metric can grow towards its threshold; it gives margins of rows that
+    are still far from failing."""
 
     metric: str
     scale: float  # in which its margin is counted
@@ -187,7 +189,7 @@ class LeadingMetric(NamedTuple):
 
 @dataclass(frozen=True)
 class Cause:
-    """A metric beyond its threshold makes a rollout a failure, or invalid; modules of metrics define causes.
+    """A cause of failure or invalidity: a metric beyond its threshold. Metric modules define causes.
 
     With `default` None the threshold is part of the manoeuvre's `goal`; `default_for` gives it for a kind of world if
     the goal does not.
@@ -211,7 +213,7 @@ class Cause:
 
     @property
     def threshold(self) -> str:
-        """The threshold's key in `outcome`: the metric's name, with `min` or `max` before the unit."""
+        """Key of the threshold in the group `outcome`: the metric's name with `min` or `max` before the unit."""
         words = self.metric.split("_")
         if self.key is not None or {"min", "max"} & {*words}:
             return self.metric if self.key is None else self.key
@@ -219,20 +221,20 @@ class Cause:
         return "_".join([*words[: len(words) - len(unit)], "min" if self.below else "max", *unit])
 
     def threshold_parameter(self) -> Any:
-        """Make the threshold's parameter, in the metric's unit."""
+        """Make the configuration parameter of the threshold, in the metric's unit."""
         return quantity(self.default, column_unit(self.metric), at_least=-math.inf if self.below else 0.0)
 
     def limit(self, value: float | None) -> float:
-        """Return a threshold that may be None: infinite then, so that the cause never holds."""
+        """Return the threshold, or infinity if it is None, so that the cause never applies."""
         return (-math.inf if self.below else math.inf) if value is None else value
 
     def holds(self, value: Any, limit: Any) -> Any:
-        """Whether values of the metric (numbers or arrays, NumPy or JAX) are beyond `limit`."""
+        """Return whether values of the metric (numbers or arrays, NumPy or JAX) are beyond `limit`."""
         return value < limit if self.below else value > limit
 
     @property
     def companion_metric(self) -> str:
-        """Name of the second metric that enters the margin, the twin or the lead; empty if there is none."""
+        """Name of the second metric from which the margin is computed; empty if there is none."""
         other = self.twin or self.lead
         return other.metric if other else ""
 
@@ -306,7 +308,7 @@ def make_constant_begin[S](kind: Callable[..., S], *values: Any) -> Callable[[Co
 def make_end_metric(
     compute: Callable[[tuple[()], Any], dict[str, Array]], columns: Mapping[str, str], **options: Any
 ) -> Metric[tuple[()]]:
-    """Make a metric without a state, whose columns are computed at the end of the rollout.
+    """Make a metric without state, whose columns are computed once at the end of the rollout.
 
     Args:
         compute: See `Metric`; its state is empty.
@@ -322,7 +324,7 @@ def make_extremes_metric(
     causes: tuple[Cause, ...] = (),
     **options: Any,
 ) -> Metric[tuple[Array, ...]]:
-    """Make a metric of the largest or smallest values that quantities take in any report.
+    """Make a metric whose columns are the largest or smallest values of quantities over all reports.
 
     Args:
         values: The quantities of a report, in the order of `columns`.
@@ -393,7 +395,7 @@ def compute_columns(metrics: Iterable[Metric[Any]], states: Iterable[Any], rollo
 
 
 def keep_ended_states(going: Array, new: Any, old: Any) -> Any:
-    """Keep the states of rollouts that have ended, and take the new states of the others.
+    """Return the new states of rollouts that are still running, and the old states of rollouts that have ended.
 
     Args:
         going: Which of the n rollouts go on (n,), or whether a single one does ().

@@ -1,4 +1,4 @@
-"""Outcome of a rollout, judged by causes: `success`, `failure` with the cause that came first, or `invalid`."""
+"""Outcome of a rollout: `success`, `failure` with the cause that came first, or `invalid`."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ ColumnArrays = Mapping[str, np.ndarray]  # metrics (n,) by name
 
 @dataclass(frozen=True)
 class CauseVerdicts:
-    """One cause judged for n rows: where it applies, when it first applied, and its margin; input of
+    """Verdicts of one cause on n rows: where it applies, when it first applied, and its margin; input of
     `classify_rows`."""
 
     name: str
@@ -54,7 +54,7 @@ def judge_cause(cause: Cause, columns: ColumnArrays, limit: float, end_stage: np
 
 
 def cause_margin(cause: Cause, columns: ColumnArrays, limit: float) -> np.ndarray | None:
-    """Return the distance of rows (n,) from a threshold, see `Cause.margin`.
+    """Return the distance of rows (n,) from a cause's threshold in units of its scale.
 
     Args:
         cause: The cause.
@@ -76,7 +76,7 @@ def cause_margin(cause: Cause, columns: ColumnArrays, limit: float) -> np.ndarra
 def classify_rows(
     causes: Sequence[CauseVerdicts], end_stage: np.ndarray, stages: Sequence[str], unknown_margin: float = -np.inf
 ) -> dict[str, np.ndarray]:
-    """Label rows with their outcomes.
+    """Label rows with outcome, cause and margin from the verdicts of all causes.
 
     The cause that held first in time decides. Of causes at the same time the first of the sequence decides: systems
     name those of `invalid` first.
@@ -119,7 +119,7 @@ def classify_rows(
 def find_least_margins(
     margins: Mapping[str, np.ndarray], unknown_margin: float = -np.inf
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find the threshold that is nearest to each of n rows.
+    """Find for each of n rows the threshold that is nearest, and the margin to it.
 
     Args:
         margins: Distances (n,) from thresholds, by key.

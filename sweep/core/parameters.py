@@ -59,7 +59,7 @@ def quantity(
 
 
 def choice(default: str, *options: str, **meanings: str) -> Any:
-    """Declare a parameter that takes one of a few names; another name needs another compiled program.
+    """Declare a parameter whose value is one of a few names; another name needs another compiled program.
 
     Args:
         default: The default name.

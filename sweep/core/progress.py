@@ -47,7 +47,7 @@ def show_elapsed_time(step: Callable[[], str] | str) -> Iterator[None]:
 
 @contextmanager
 def show_counts(step: Callable[..., str], *counts: int) -> Iterator[Callable[..., None]]:
-    """Print progress as `show_elapsed_time` does, from counts that the caller updates.
+    """Print progress to standard error while this context runs, from counts that the caller updates.
 
     Args:
         what: Formats the counts as a phrase.
@@ -68,7 +68,7 @@ def show_counts(step: Callable[..., str], *counts: int) -> Iterator[Callable[...
 
 @contextmanager
 def time_step_part(name: str) -> Iterator[None]:
-    """Measure the duration of this context as a named part of a longer step. Parts may run at the same time."""
+    """Measure the duration of this context as a named part of a longer step; parts may run concurrently."""
     start = _begun[name] = time.perf_counter()
     try:
         yield
@@ -89,7 +89,7 @@ def format_running_parts(step: str) -> str:
 
 @contextmanager
 def time_compilation() -> Iterator[None]:
-    """Add the duration of this context to the compile time of the process, see `compilation_seconds`."""
+    """Add the duration of this context to the compile time of the process."""
     global _compiled
     start = time.perf_counter()
     try:
@@ -104,7 +104,7 @@ def compilation_seconds() -> float:
 
 
 def format_compile_estimate(step: str) -> str:
-    """Estimate how long compiling a step and running its first batch takes, from the last time on this machine."""
+    """Estimate how long compilation and first batch take, from the last time on this machine, as text."""
     waits = _load_waits()
     if waits is None:
         return f"compile time unknown: {cache_folder()}/{DURATIONS_FILE} is damaged; the next run rewrites it"

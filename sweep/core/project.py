@@ -41,7 +41,7 @@ def find_project() -> Path | None:
 
 
 def find_results_around(file: Path) -> Path | None:
-    """Find the folder of results, or the crate, that a file lies in.
+    """Find the results folder, or the crate, that contains a file.
 
     Nothing in such a folder is run or taken for a project, as it may come from a stranger.
 
@@ -62,7 +62,7 @@ def find_results_around(file: Path) -> Path | None:
 
 @contextmanager
 def trust_project(folder: Path) -> Iterator[None]:
-    """Work in a folder of a crate, whose code the user has allowed to run, within this context."""
+    """Context that works in the folder of a crate whose code the user has allowed to run."""
     _trusted.add(place := folder.resolve())
     try:
         with chdir(place):

@@ -1,4 +1,4 @@
-"""Versions of the code and libraries that made a row."""
+"""Versions of code and libraries that produced a row."""
 
 import ast
 import contextlib
@@ -65,7 +65,7 @@ def search_version() -> str:
 
 
 def is_current_code(version: str, libraries: Mapping[str, str]) -> bool:
-    """Return whether a stored `code_version` is that of the installed source files.
+    """Return whether a stored code version equals that of the installed source files.
 
     Args:
         version: The stored hash.
@@ -84,7 +84,7 @@ def program_version() -> str:
 
 
 def sources_changed() -> bool:
-    """Return whether a source file of compiled programs was changed on disk after this process started."""
+    """Return whether a source file of compiled programs has changed on disk since this process started."""
     plans = (Path(str(file)) for file in project.shipped_files("plan").values())
     return any(
         file.stat().st_ctime > PROCESS_START_S

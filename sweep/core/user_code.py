@@ -1,4 +1,4 @@
-"""Running users' code: its working folder, its printed lines, the place of its errors, and calls that do not return.
+"""Running of user code: working folder, captured output, error locations, and notes on slow calls.
 
 Imports nothing slow.
 """
@@ -35,14 +35,14 @@ class _Lines(io.TextIOBase):
         self._what, self._rest = what, ""
 
     def write(self, text: str) -> int:
-        """Keep the whole lines of `text`."""
+        """Collect the complete lines of `text`."""
         *lines, self._rest = f"{self._rest}{text}".split("\n")
         for line in filter(str.strip, lines):
             _keep(f"{self._what} prints: {line}")
         return len(text)
 
     def close(self) -> None:
-        """Keep what has no end of line."""
+        """Store the last line, which has no line break."""
         self.write("\n")
         super().close()
 
@@ -55,7 +55,7 @@ def _keep(line: str) -> None:
 
 
 def take_printed_lines(with_tracebacks: bool = False) -> list[str]:
-    """Return what code of users has printed since the last call, each line once in the life of a process.
+    """Return the lines that user code has printed since the last call; each line is returned once per process.
 
     Args:
         with_tracebacks: return tracebacks of its errors, too, which are dropped otherwise.
@@ -69,7 +69,7 @@ def take_printed_lines(with_tracebacks: bool = False) -> list[str]:
 
 @contextlib.contextmanager
 def run_user_code(what: str, folder: Path) -> Iterator[None]:
-    """Run code of a user within this context: in its folder, with its printed lines collected and its errors located.
+    """Context that runs user code in its folder, captures its output and locates its errors.
 
     Relative paths are those of its folder, or of the one that it has changed to; ours stay as they are. What it prints
     is kept for `take_printed_lines`. A call that does not return is reported on the standard error.
@@ -93,7 +93,7 @@ def run_user_code(what: str, folder: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def report_slow_call(what: str, after: float | None = None) -> Iterator[None]:
-    """Print a note on the standard error if the code in this context takes long.
+    """Context that prints a note on standard error if its code takes long.
 
     Args:
         what: what runs.

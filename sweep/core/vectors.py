@@ -18,7 +18,7 @@ Number = Array | float
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Vector:
-    """Three components as arrays over legs or other points. The caller knows the frame."""
+    """A 3-vector whose components are separate arrays over legs or other points; the caller knows the frame."""
 
     x: Array
     y: Array
@@ -64,7 +64,7 @@ class Vector:
         )
 
     def total(self) -> "Vector":
-        """Sum over the last axis, such as the legs. The axis stays with length 1."""
+        """Sum over the last axis (such as the legs), which stays with length 1."""
         return Vector(*(total(part) for part in self))
 
 
@@ -119,7 +119,7 @@ class Matrix(NamedTuple):
         return Matrix(*(row.cross(v) for row in self))
 
     def total(self) -> "Matrix":
-        """Sum over the last axis, such as the legs. The axis stays with length 1."""
+        """Sum over the last axis (such as the legs), which stays with length 1."""
         return Matrix(*(row.total() for row in self))
 
     def inverse(self) -> "Matrix":

@@ -94,7 +94,7 @@ class _Level:
         self.size, self.key, self._at_key = 1, "", True
 
     def add(self, size: int, text: str) -> None:
-        """Count an item of `size`; in a mapping, items are keys and values in turns."""
+        """Count an item of `size`, and remember it if it is a key of a mapping, where keys and values alternate."""
         self.size += size
         if self.is_mapping:
             self.key = text if self._at_key else ""

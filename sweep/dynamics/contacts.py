@@ -38,7 +38,7 @@ class Anchors(NamedTuple):
 
 
 class ContactGeometry(NamedTuple):
-    """Quantities of n contacts that stay constant while the velocity of a step is solved for, in base or world axes."""
+    """Quantities of n contacts that stay constant during the velocity solve of one step, in base or world axes."""
 
     depth: Float[Array, " n"]
     normal: Vector
@@ -52,7 +52,7 @@ class ContactGeometry(NamedTuple):
 
 
 class ContactForces(NamedTuple):
-    """Contact forces of n points at a trial velocity, made by `contact_forces`."""
+    """Contact forces at n points for a trial velocity, made by `contact_forces`."""
 
     force: Vector  # N, on the point
     normal: Float[Array, " n"]  # N, along the surface normal
@@ -119,7 +119,7 @@ def to_body_frame(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: Bo
 def contact_geometry(
     contact: Contact, surface: Surface, anchors: Anchors, point: Vector, frames: Frames
 ) -> tuple[ContactGeometry, Vector]:
-    """Contact geometry at the start of a step, and the anchors; world axes.
+    """Return the contact geometry and the anchors of contact points at the start of a step, world axes.
 
     A point keeps its anchor while it stays loaded on the same face; otherwise it takes hold where it is now.
     """
@@ -137,7 +137,7 @@ def contact_geometry(
 
 
 def contact_forces(contact: Contact, geometry: ContactGeometry, velocity: Vector) -> ContactForces:
-    """Contact forces on points that move at `velocity` (m/s, relative to the surface) in a step.
+    """Compute the contact forces on points that move at `velocity` (m/s, relative to the surface) in a step.
 
     N = c_n depth - d_n v_n where positive; the tangential force is elastic up to the Coulomb limit. The depth is that
     at the step's start, the velocity that at its end: to first order in the step nothing but d_n damps. With the
@@ -157,7 +157,7 @@ def contact_forces(contact: Contact, geometry: ContactGeometry, velocity: Vector
 
 
 def contact_damping(geometry: ContactGeometry, forces: ContactForces, h: float) -> Matrix:
-    """Derivative -h d force / d velocity (N s^2/m) of the contact law at `forces`.
+    """Return the derivative -h d force / d velocity (N s^2/m) of the contact law at given forces.
 
     It keeps the coupling of the limit to the normal force, which makes it unsymmetric: without it the two iterations of
     a step diverge at 2 ms. Its parts are kept as values: worked out twice, they might differ.
@@ -183,7 +183,8 @@ def update_anchors(
     velocity: Vector,
     h: float,
 ) -> Anchors:
-    """Anchors after the step: a slipping point drags its anchor along, so that it holds just the Coulomb limit.
+    """Return the contact anchors after a step; a slipping point drags its anchor along so that the force stays at the
+    Coulomb limit.
 
     The contact of what rolls moves over both surfaces alike: only the slip between them, at `velocity`, stretches it.
     All in world axes.
@@ -225,23 +226,24 @@ def resisting_moments(
 
 
 class BodyContactRole(NamedTuple):
-    """How a root body takes part in n contact points: it carries some of them, and others stand on it."""
+    """Role of a root body in n contact points: which points it carries, and which points stand on it."""
 
     body: int
     sign: Float[Array, " n"] | None  # 1 carries, -1 is stood on, 0 neither; None: it carries all
     points: Vector  # m, of the points from the body's origin
 
     def apply_sign(self, v: Vector) -> Vector:
-        """Multiply each point's vector by its share: 1 if the body carries the point, -1 if it supports it, else 0."""
+        """Multiply each point's vector by 1 if the body carries the point, -1 if it supports the point, else 0."""
         return v if self.sign is None else self.sign * v
 
     def wrench_rows(self, m: Matrix) -> tuple[Matrix, Matrix]:
-        """Rows of a matrix that maps to forces on the points, transformed to force and torque on the body."""
+        """Return rows of a matrix that map to force and torque on the body, from rows that map to forces on the
+        points."""
         m = m if self.sign is None else m.scale(self.sign)
         return m, m.transpose.times_cross_matrix(-self.points).transpose
 
     def twist_columns(self, m: Matrix) -> tuple[Matrix, Matrix]:
-        """Blocks by which a matrix on velocities of points acts on the body's linear and angular velocity."""
+        """Return blocks by which a matrix on point velocities acts on the body's linear and angular velocity."""
         m = m if self.sign is None else m.scale(self.sign)
         return m, m.times_cross_matrix(-self.points)
 
@@ -254,7 +256,7 @@ class ContactSet(NamedTuple):
     rolling: RollingResistance | None = None
 
     def velocity(self, root: Sequence[SpatialVector]) -> Vector:
-        """Velocity of the points relative to their surfaces (m/s), for given twists of the root bodies."""
+        """Return the velocities of the points relative to their surfaces (m/s), for given twists of the root bodies."""
         return reduce(
             add, [arm.apply_sign(root[arm.body].linear + root[arm.body].angular.cross(arm.points)) for arm in self.arms]
         )
@@ -264,7 +266,7 @@ class ContactSet(NamedTuple):
         return reduce(add, [arm.apply_sign(root[arm.body].angular) for arm in self.arms])
 
     def root_wrenches(self, force: Vector, moment: Vector | None = None) -> list[tuple[int, SpatialVector]]:
-        """Force and torque on the root bodies from forces and moments at the points."""
+        """Return force and torque on the root bodies from forces and moments at the points."""
         out = []
         for arm in self.arms:
             own = arm.apply_sign(force)
@@ -276,7 +278,7 @@ class ContactSet(NamedTuple):
 def body_contact_arms(
     points: Vector, body: Array, owner: Sequence[int], origins: Sequence[Vector]
 ) -> tuple[BodyContactRole, ...]:
-    """Return the contact arms of free bodies: to points that they carry (`owner`) and to points that stand on them
+    """Return the contact roles of free bodies: the points that they carry (`owner`) and the points that stand on them
     (`body`)."""
     shares = [jnp.equal(np.array(owner), k) - (body == k).astype(points.x.dtype) for k in range(len(origins))]
     return tuple(
@@ -286,7 +288,7 @@ def body_contact_arms(
 
 
 class ContactStart(NamedTuple):
-    """Contacts of the feet, or of free bodies' sites, at the start of a step; world axes unless said otherwise."""
+    """Contacts of the feet, or of free bodies' sites, at the start of a step; world axes unless stated otherwise."""
 
     contacts: ContactSet
     surface: Surface

@@ -32,7 +32,7 @@ def kinematics(pose: Pose, to_base: Matrix) -> FreeBodies:
 
 
 def start_at_rest(case: Case) -> FreeState:
-    """State of free bodies at the start, sunk into the floor until contacts carry their weight: none bounces."""
+    """Return the start state of free bodies at rest, sunk into the floor until contacts carry their weight."""
     free, obstacle = free_start_state(case.obstacle), case.obstacle
     if not obstacle.lying:
         return free
@@ -43,7 +43,7 @@ def start_at_rest(case: Case) -> FreeState:
 
 
 def inertias(case: Case, axes: list[Matrix]) -> list[Inertia]:
-    """Inertias of the free bodies in the axes to which `axes` rotate from their own axes."""
+    """Return the spatial inertias of the free bodies in given axes."""
     leaves = case.obstacle.batched_model_fields()
     out = []
     for name, turned in zip(case.obstacle.free_bodies, axes, strict=True):
@@ -54,7 +54,7 @@ def inertias(case: Case, axes: list[Matrix]) -> list[Inertia]:
 
 
 def bias_wrench(inertia: Inertia, motion: SpatialVector, up: Vector) -> SpatialVector:
-    """Force and torque that keep a body's acceleration zero: Coriolis and gravity; `up` is the world's z axis."""
+    """Return the force and torque that keep a body's acceleration zero, from Coriolis effects and gravity."""
     spin = motion.angular
     return SpatialVector((GRAVITY * inertia.mass) * up, spin.cross(inertia.inertia @ spin))
 
@@ -74,7 +74,8 @@ def contact_sites(case: Case, bodies: FreeBodies) -> list[Vector]:
 
 
 def contact_owners(case: Case) -> tuple[int, ...]:
-    """Number of the free body that carries each contact point; -1 for the robot's feet, which come first."""
+    """Return for each contact point the number of the free body that carries it; -1 for the robot's feet, which come
+    first."""
     return (-1,) * N_LEGS + tuple(body for _, body in case.obstacle.contact_sites)
 
 

@@ -22,7 +22,7 @@ from sweep.models.legs import JOINT_NAMES, LEGS, N_LEGS
 
 @dataclass(frozen=True)
 class ModelTopology:
-    """Compiled model and index tables, constant while sizes and masses vary. `topology` makes it.
+    """Compiled MuJoCo model and index tables, which stay constant while sizes and masses vary; made by `topology`.
 
     Contact points are the six feet, then the obstacle's sites.
     """
@@ -48,7 +48,7 @@ SmoothDynamics = Callable[[Pose, Motion], RobotDynamicsTerms]  # of one world; m
 
 
 def topology(case: Case) -> ModelTopology:
-    """Compile the model of a case (plain numbers) and build the index tables of its blocks.
+    """Compile the MuJoCo model of a case (plain numbers) and build the index tables of its blocks.
 
     Raises:
         InputError: The frame of a free body is not at its mass centre along its principal axes.

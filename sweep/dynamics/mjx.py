@@ -1,4 +1,4 @@
-"""The smooth dynamics of `interface`, from MJX."""
+"""Smooth dynamics of the robot computed by MJX."""
 
 from collections.abc import Callable
 from functools import partial
@@ -21,14 +21,14 @@ BASE_BODY_ID = 1  # body id
 
 
 def mjx_dynamics(top: ModelTopology) -> Callable[[Case], SmoothDynamics]:
-    """Build smooth dynamics from MJX: a function from a world of this topology to its `SmoothDynamics`."""
+    """Build the smooth-dynamics function from MJX, for worlds of one topology."""
     model = mjx.put_model(top.model, impl="jax")
     data = mjx.make_data(model, impl="jax")
     return lambda world: partial(smooth_dynamics, top, model.replace(**varying_fields(top, model, world)), data)
 
 
 def varying_fields(top: ModelTopology, model: mjx.Model, case: Case) -> dict[str, Array]:
-    """Fields of the MJX model that depend on the parameters of `case`, by name; may be traced."""
+    """Return the MJX model fields that depend on the parameters of a case, by name; values may be traced."""
     changed = {}
     for field, values in scene.batched_model_fields(case).items():
         table = top.ids_by_name[{"body": "body", "site": "site", "dof": "joint"}[field.split("_")[0]]]
@@ -44,7 +44,7 @@ def varying_fields(top: ModelTopology, model: mjx.Model, case: Case) -> dict[str
 def smooth_dynamics(
     top: ModelTopology, model: mjx.Model, data: mjx.Data, pose: Pose, motion: Motion
 ) -> RobotDynamicsTerms:
-    """The robot's blocks at a pose and motion. `data` is an empty MJX data of the topology."""
+    """Compute mass matrix, bias forces and foot Jacobians at a pose and motion with MJX."""
     q, v = pack_state(pose, motion)
     d = data.replace(qpos=q, qvel=v)
     for stage in (smooth.kinematics, smooth.com_pos, smooth.crb, smooth.com_vel, smooth.rne):

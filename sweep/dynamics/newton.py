@@ -148,7 +148,7 @@ class BlockMatrix:
         self.blocks: dict[tuple[int, int], Matrix] = {}
 
     def add(self, i: int, j: int, block: Matrix) -> None:
-        """Add a block to the one at its place."""
+        """Add a 3x3 block to the block at row `i` and column `j`."""
         self.blocks[i, j] = self.blocks[i, j].plus(block) if (i, j) in self.blocks else block
 
     def solve(self, right: list[Vector]) -> list[Vector]:

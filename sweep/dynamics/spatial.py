@@ -19,7 +19,7 @@ JointTriple = tuple[Array, Array, Array]  # (l,) of alpha, beta, gamma
 
 
 def split_joints(values: Float[Array, "l 3"]) -> JointTriple:
-    """Split a table (l, 3) of the legs' joints into alpha, beta, gamma (l,)."""
+    """Split joint values (l, 3) of all legs into three arrays alpha, beta, gamma (l,)."""
     return values[:, 0], values[:, 1], values[:, 2]
 
 
@@ -36,7 +36,7 @@ class SpatialVector(NamedTuple):
     angular: Vector
 
     def dot(self, other: "SpatialVector") -> Array:
-        """Power: scalar product of a motion and a force."""
+        """Return the power: the scalar product of a motion and a force."""
         return self.linear.dot(other.linear) + self.angular.dot(other.angular)
 
     def rotate(self, rotation: Matrix) -> "SpatialVector":
@@ -85,7 +85,7 @@ class Motion(NamedTuple):
     leg: JointTriple
 
     def dot(self, other: "Motion") -> Array:
-        """Power (1,): scalar product of a motion and a force."""
+        """Return the power (1,): the scalar product of a motion and a force."""
         bodies = sum(a.dot(b) for a, b in zip(self.root, other.root, strict=True))
         return bodies + total(sum(a * b for a, b in zip(self.leg, other.leg, strict=True)))  # pyright: ignore
 
@@ -98,7 +98,7 @@ class Inertia(NamedTuple):
     inertia: Matrix  # (1,) kg m^2
 
     def momentum(self, v: SpatialVector) -> SpatialVector:
-        """Momentum of the body at the velocity `v`."""
+        """Return the momentum of the body that moves at velocity `v`."""
         linear, angular = self.mass * v.linear, self.inertia @ v.angular
         if self.moment is None:
             return SpatialVector(linear, angular)
@@ -113,7 +113,7 @@ class MassMatrix(NamedTuple):
     leg: Matrix  # (l,)
 
     def momentum(self, v: Motion) -> Motion:
-        """Momentum of all bodies at the velocities `v`."""
+        """Return the momentum of all bodies that move at velocities `v`."""
         base, *free = [inertia.momentum(motion) for inertia, motion in zip(self.root, v.root, strict=True)]
         linear, angular = base
         own = self.leg @ Vector(*v.leg)
@@ -124,7 +124,7 @@ class MassMatrix(NamedTuple):
 
 
 def add_scaled(a, share: Array | float, b):
-    """a + share * b, part by part of two trees of the same form."""
+    """Return a + share * b for each pair of leaves of two trees with the same structure."""
     return jax.tree.map(lambda x, y: x + share * y, a, b)
 
 

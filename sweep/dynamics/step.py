@@ -1,4 +1,4 @@
-"""One physics step: clamped drives (1.2.1) and contact (1.2.2), implicit, on the smooth dynamics.
+"""One implicit physics step: drives with clamped torque (1.2.1) and contact (1.2.2) on top of the smooth dynamics.
 
 The end velocity w solves M0 w = b0 + h (contact forces + clamped drive torques), both at w. Every Newton iteration
 decides anew which feet are loaded, which slip and which drives saturate. Where a whole Newton step does not converge,
@@ -64,7 +64,7 @@ class PhysicsState(NamedTuple):
 
 
 class ComponentState(NamedTuple):
-    """A `PhysicsState` by components of bodies and joints, in which steps are computed."""
+    """A `PhysicsState` split into separate components of bodies and joints, with which steps are computed."""
 
     pose: Pose
     motion: Motion  # in the bodies' own axes
@@ -114,12 +114,12 @@ def state_at_rest(top: ModelTopology, q: Float[Array, " nq"]) -> PhysicsState:
 
 
 def split_into_components(state: PhysicsState) -> ComponentState:
-    """Split a state into components of bodies and joints."""
+    """Split a physics state into separate components of bodies and joints."""
     return ComponentState(*unpack_state(state.q, state.v), state.anchors)
 
 
 def join_components(moving: ComponentState) -> PhysicsState:
-    """Join components to arrays in MuJoCo's order, the inverse of `split_into_components`."""
+    """Join components into arrays in MuJoCo's order, the inverse of `split_into_components`."""
     return PhysicsState(*pack_state(moving.pose, moving.motion), moving.anchors)
 
 
@@ -333,7 +333,7 @@ class _Problem(NamedTuple):
     h: float
 
     def evaluate_trial_velocity(self, w: Motion) -> _Trial:
-        """Momentum and contact velocities at an end velocity."""
+        """Return momentum and contact velocities at a trial end velocity."""
         done, damping = self.mass.momentum(w), self.h * self.case.drive.back_emf
         done = done._replace(leg=tuple(p + damping * rate for p, rate in zip(done.leg, w.leg, strict=True)))
         feet, *sites = (contacts.velocity(w.root) for contacts in self.contacts)
@@ -342,7 +342,7 @@ class _Problem(NamedTuple):
         return _Trial(w, done, (feet, *sites), self.contacts[1].relative_spin(w.root) if rolls else None)
 
     def forces_at_trial(self, trial: _Trial) -> _ActingForces:
-        """Forces at a trial velocity: contact (1.2.2), rolling resistance and clamped drives (1.2.1)."""
+        """Return the forces at a trial velocity: contact (1.2.2), rolling resistance and clamped drives (1.2.1)."""
         laws = zip(self.contacts, trial.velocity, strict=True)
         forces = tuple(contact_forces(self.case.contact, own.geometry, velocity) for own, velocity in laws)
         moments = None
@@ -365,7 +365,7 @@ class _Problem(NamedTuple):
         return split_joints(self.h * self.servo.stiffness + self.servo.damping)
 
     def momentum_residual(self, trial: _Trial, acting: _ActingForces) -> Motion:
-        """Error of the momentum balance (N s)."""
+        """Return the residual of the momentum balance at a trial velocity (N s)."""
         left = jax.tree.map(sub, self.start, trial.momentum)
         root, feet = list(left.root), acting.forces[0].force
         for k, (contacts, forces) in enumerate(zip(self.contacts, acting.forces, strict=True)):
@@ -378,7 +378,8 @@ class _Problem(NamedTuple):
         return Motion(tuple(root), legs)
 
     def solve_end_velocity(self, v: Motion, iterations: int) -> _Trial:
-        """Solve for the end velocity by Newton's method, which begins with the velocity `v` at the start of the step.
+        """Solve for the velocity at the end of the step by Newton's method, starting from the velocity `v` at its
+        start.
 
         Most steps converge in one iteration, and few need more than three. A rollout that has converged keeps its
         solution while others of the same warp or vector go on.

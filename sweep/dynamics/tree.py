@@ -1,4 +1,4 @@
-"""Smooth dynamics of a robot whose legs meet in its base only, written out: mass matrix, bias, Jacobians of the feet.
+"""Smooth dynamics of a legged robot in explicit equations: mass matrix, bias forces, foot Jacobians.
 
 Generalised velocity: the base's (linear, angular), both in base axes, then alpha, beta, gamma of each leg.
 """
@@ -39,12 +39,12 @@ class LegLink(NamedTuple):
 
 
 def tree_dynamics(world: Case) -> SmoothDynamics:
-    """Build the smooth dynamics of a world from the equations of this module."""
+    """Build the smooth-dynamics function of a world from the explicit equations."""
     return partial(tree_terms, world.robot, world.drive.armature)
 
 
 def leg_links(robot: Robot, angle: JointTriple) -> tuple[Vector, list[LegLink]]:
-    """Unit vector of beta's and gamma's axis, and the links from the hip out."""
+    """Return the unit vector of the beta and gamma axes, and the links of a leg from the hip outward."""
     yaw, side = leg_mounts(robot).yaw.astype(angle[0].dtype), SIDE_BY_LEG.astype(angle[0].dtype)
     turn, lift, bend = yaw + angle[0], angle[1], angle[1] + angle[2]
     cos, sin = jnp.cos(turn), jnp.sin(turn)
@@ -65,7 +65,7 @@ def leg_links(robot: Robot, angle: JointTriple) -> tuple[Vector, list[LegLink]]:
 
 
 def tree_terms(robot: Robot, armature: Number, pose: Pose, v: Motion) -> RobotDynamicsTerms:
-    """Mass matrix, bias and feet at a pose and velocity: recursive Newton-Euler and composite bodies, leg by leg.
+    """Compute mass matrix, bias forces and foot Jacobians leg by leg, by recursive Newton-Euler and composite bodies.
 
     The bias is the force that keeps all generalised accelerations zero; the linear one is that in world axes, so that
     a moving base adds nothing to it.

@@ -1,4 +1,5 @@
-"""Batch a function of one rollout along the last axis, so that neighbours in memory are neighbouring rollouts.
+"""Batching of a single-rollout function along the last axis, so that values of neighbouring rollouts are adjacent in
+memory.
 
 `jax.vmap` puts the batch first: a foot's three coordinates then lie side by side, and neither a CPU's vector units nor
 a GPU's memory can take many rollouts at a time. `batch_last_vmap` goes through the same program operation by operation
@@ -47,7 +48,7 @@ OPERATION_COSTS = {"convert_element_type": 0, "copy": 0, "div": 8, "sqrt": 8, "r
 
 
 class BatchOperand(NamedTuple):
-    """A value of the program; its last axis is the batch, or it is the same for the whole batch."""
+    """A value in a batched program; its last axis is the batch, unless the value is the same for the whole batch."""
 
     value: Any
     is_batched: bool
@@ -62,7 +63,7 @@ class BatchContext(NamedTuple):
 
 
 def batch_last_vmap(function: Callable, in_axes: Sequence[Any], reuse_from: int) -> Callable:
-    """Batch a function of one rollout along the last axis.
+    """Batch a function of one rollout along the last axis, like `jax.vmap` with the batch axis last.
 
     Equal to `jax.vmap(function, in_axes, out_axes=-1)` to round-off.
 

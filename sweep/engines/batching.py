@@ -29,7 +29,7 @@ from sweep.models.legs import N_JOINTS
 
 
 def nominal_plan(belief: Case) -> Plan:
-    """Compute the plan of nominal parameters.
+    """Compute the plan for nominal parameters of a belief.
 
     The last plan is cached in this process, since layout and engine ask for the same one; later processes load it
     together with the compiled programs.
@@ -66,7 +66,7 @@ def physics_steps_per_tick(settings: EngineSettings) -> int:
 
 
 def select_row(case: Case, slot: int) -> Case:
-    """Parameters of the rollout at index `slot` of a batch, as plain numbers."""
+    """Return the parameters of the rollout at index `slot` of a batch, as plain numbers."""
     return jax.tree.map(lambda x: float(x[slot]) if np.ndim(x) else x, case)
 
 
@@ -79,7 +79,7 @@ def check_width(streams: np.ndarray, width: int) -> None:
 def record_tick(
     command: Command, state: TrackerState, tick: TickReport, q: Array, v: Array, tick_summary: Array
 ) -> dict[str, Array]:
-    """Quantities of one control tick that a trace stores.
+    """Return the quantities of one control tick that a trace records.
 
     Args:
         command: command of the controller.
@@ -107,7 +107,7 @@ def record_tick(
 
 
 class BatchEngine:
-    """Base class of the hexapod's engines, which simulate the same numbers with and without recording."""
+    """Base class of the hexapod's engines; a rollout has the same numbers with and without recording."""
 
     width: int
 
@@ -138,23 +138,23 @@ class BatchEngine:
         raise NotImplementedError
 
     def find_unread_columns(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
-        """Find parameters that cannot change any metric, see `Engine.find_unread_columns`."""
+        """Find parameters that cannot change any metric, by analysing the traced program."""
         with devices.precision_context(self.settings):
             return find_unread_columns(self.rollout_outputs, sides, ends)
 
     @devices.convert_memory_errors()
     def run(self, world: Case, belief: Case, streams: np.ndarray) -> Metrics:
-        """Simulate a batch, see `Engine.run`. The simulation stops once every rollout is over."""
+        """Simulate a batch of rollouts and return their metrics; the simulation stops once every rollout is over."""
         return self._simulate(world, belief, streams)[0]
 
     def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
-        """Simulate a batch and record one of its rollouts, see `Engine.trace`."""
+        """Simulate a batch and record a trace of the rollout at index `slot`."""
         return require_trace(self.traces(world, belief, streams, 1, np.array([slot]))[0])
 
     def traces(
         self, world: Case, belief: Case, streams: np.ndarray, every: int, slots: np.ndarray | None = None
     ) -> list[Trace | MissingTrace]:
-        """Simulate a batch and record the rollouts at the indices `slots`, by default all, see `Engine.traces`."""
+        """Simulate a batch and record traces of the rollouts at the indices `slots`, by default of all."""
         slots = np.arange(self.width) if slots is None else slots
         figures, parts = self._simulate(world, belief, streams, slots, every)
         records = jax.tree.map(lambda *each: np.concatenate(each), *parts)
@@ -179,7 +179,7 @@ def to_traces(
     tick: float,
     every: int,
 ) -> list[Trace | MissingTrace]:
-    """Make traces of rollouts from the records of a batch; each trace ends with its rollout.
+    """Make traces of rollouts from the recorded ticks of a batch; each trace ends when its rollout ends.
 
     Args:
         cases: world and belief of the batch.

@@ -60,16 +60,16 @@ class CalibratingEngine:
         self._learn: dict[Any, Callable[..., Any]] = {}
 
     def rollout_bytes(self) -> int | None:
-        """Return the bytes of the larger of both rollouts, see `Engine.rollout_bytes`."""
+        """Return the memory in bytes of the larger of the two rollouts, calibration or manoeuvre."""
         sizes = self._poses.rollout_bytes(), self._then.rollout_bytes()
         return None if None in sizes else max(size for size in sizes if size is not None)
 
     def find_unread_columns(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
-        """Return no columns: the two rollouts and the estimation between them are not one program to analyse."""
+        """Return no columns: calibration, estimation and manoeuvre are not one program that could be analysed."""
         return set()
 
     def run(self, world: Case, belief: Case, streams: np.ndarray) -> Metrics:
-        """Simulate calibration and manoeuvre of a batch; return the metrics of both as one row, see `Engine.run`."""
+        """Simulate calibration and manoeuvre of a batch; return the metrics of both as one row for each rollout."""
         sides, before = self._run_calibration(world, belief, streams)
         return self._join_metrics(before, self._then.run(*sides, streams))
 
@@ -80,13 +80,13 @@ class CalibratingEngine:
         raise InputError("study.keep is not allowed with control.calibrate = simulated: none, sizes")
 
     def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
-        """Record calibration poses and manoeuvre of one rollout as one trace, see `Engine.trace`."""
+        """Record calibration and manoeuvre of one rollout as a single trace."""
         sides, before = self._run_calibration(world, belief, streams)
         first = self._poses.trace(_pose_case(world), _pose_case(belief), streams, slot)
         return self._join_traces(before, slot, first, self._then.trace(*sides, streams, slot))
 
     def traces(self, world: Case, belief: Case, streams: np.ndarray, every: int) -> list[Trace | MissingTrace]:
-        """Record calibration poses and manoeuvre of each rollout as one trace, see `Engine.traces`."""
+        """Record calibration and manoeuvre of each rollout as a single trace."""
         sides, before = self._run_calibration(world, belief, streams)
         firsts = self._poses.traces(_pose_case(world), _pose_case(belief), streams, every)
         thens = self._then.traces(*sides, streams, every)

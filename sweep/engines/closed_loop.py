@@ -102,7 +102,7 @@ def count_ticks(plans: Plan, period: float) -> int:
 
 
 def start_state(world: Case, belief: Case, plan: Plan, free: FreeState | None = None) -> InitialState:
-    """State of the simulated world at the start of the manoeuvre.
+    """Return the state of the simulated world at the start of the manoeuvre.
 
     The robot stands with the joint angles that it believes to be right, displaced by the placement error of
     `world.execution`. It is then lowered or raised along the ground's normal until its lowest foot touches. On free
@@ -164,7 +164,7 @@ def apply_placement_error(execution: ExecutionFaults, start: Stance) -> Stance:
 
 
 def free_body_state(qpos: Array, qvel: Array, count: int) -> FreeState:
-    """Take the state of the obstacle's free bodies out of a MuJoCo state.
+    """Extract the states of the obstacle's free bodies from MuJoCo's `qpos` and `qvel`.
 
     Args:
         qpos: positions (nq,); the last 7 `count` numbers are those of the free bodies.
@@ -180,7 +180,7 @@ def free_body_state(qpos: Array, qvel: Array, count: int) -> FreeState:
 
 
 def exact_observation(qpos: Array, qvel: Array, count: int, load: Float[Array, " 6"]) -> Observation:
-    """Observation of sensors without error and delay.
+    """Make the observation that sensors without error and delay would give.
 
     Args:
         qpos: positions (nq,) in MuJoCo's layout: base, legs, free bodies.
@@ -338,7 +338,7 @@ def update_metrics(
 
 
 def compute_metrics(world: Case, plan: Plan, loop: ClosedLoop) -> dict[str, Array]:
-    """Compute the metrics of a rollout from what has been accumulated so far, see `accumulator.compute`.
+    """Compute the metrics of a rollout from the metric states accumulated so far.
 
     Args:
         world: simulated parameters.

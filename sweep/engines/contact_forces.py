@@ -26,7 +26,7 @@ class ContactForces(NamedTuple):
 
 
 class SurfaceContacts:
-    """Contacts of the feet with the obstacle of a trace's world, see `sweep.contract.engine.FootContacts`."""
+    """Contacts of the feet with the obstacle in a trace's world: friction use and depth of points."""
 
     def friction_share(self, trace: Trace) -> np.ndarray:
         """Return how much of its friction each foot uses, (F, 6): 1 where it slips, NaN where it carries nothing."""

@@ -1,4 +1,5 @@
-"""The closed loop on a CPU: a kernel of the fused compiler, between programs that NumPy executes."""
+"""The closed loop on a CPU: a kernel of the fused compiler for the control ticks, NumPy programs before and after
+it."""
 
 import functools
 import sys
@@ -26,13 +27,13 @@ from sweep.models.case import Case
 
 
 class FusedBatch(NamedTuple):
-    """A batch in the memory of a kernel."""
+    """A batch of rollouts in the memory of a fused CPU kernel."""
 
     tiles: Tiles
 
     @property
     def is_over(self) -> np.ndarray:
-        """Which rollouts have ended (width,)."""
+        """Return which rollouts have ended (width,)."""
         return self.tiles.read(lambda carried: carried.loop.running.is_over)
 
 
@@ -48,14 +49,14 @@ class FusedPrograms(NamedTuple):
     watch: TimeSeriesRequest | None
 
     def start(self, world: Case, belief: Case, keys: Array) -> tuple[Plan, FusedBatch]:
-        """Plan, and put the batch into the kernel's memory before its first tick."""
+        """Plan the rollouts of a batch and write them to the kernel's memory, before the first tick."""
         plans, carry = self.planning(world, belief, keys)
         return plans, FusedBatch(self.kernel.load_batch((world, belief, plans), carry, self.width))
 
     def simulate_chunk(
         self, world: Case, belief: Case, plans: Plan, carry: FusedBatch, tick: int, slots: np.ndarray | None
     ) -> tuple[FusedBatch, Any]:
-        """Simulate one chunk of control ticks.
+        """Simulate one chunk of consecutive control ticks.
 
         Args:
             world: parameters of the simulated side.
@@ -77,12 +78,12 @@ class FusedPrograms(NamedTuple):
         return carry, select_columns(world, record, self.watch.columns)
 
     def finish(self, world: Case, plans: Plan, carry: FusedBatch) -> dict[str, Array]:
-        """Metrics of a batch after its last chunk."""
+        """Compute the metrics of a batch after its last chunk of ticks."""
         return self.metrics(world, plans, carry.tiles.read_all())
 
 
 def single_rollout_shapes(arrays: tuple[Case, Case, Array], batch: Any) -> tuple[tuple[Case, Case, Plan], Any]:
-    """Shapes of the tick function's arguments for one rollout.
+    """Return the shapes of the tick function's arguments for a single rollout, from those of a batch.
 
     Args:
         arrays: world, belief and random keys of a batch.
@@ -103,7 +104,8 @@ def single_rollout_shapes(arrays: tuple[Case, Case, Array], batch: Any) -> tuple
 def trace_or_compile(
     by_xla: Callable[[], Compiled], function: Callable[..., Any], *shapes: Any
 ) -> NumpyProgram | Compiled:
-    """Make a program that runs only a few times for each batch: for NumPy if it has a rule for all, else by XLA.
+    """Make a program that runs only a few times per batch: executed by NumPy if it has rules for all operations, else
+    compiled by XLA.
 
     Args:
         by_xla: compiles the function over the batch with XLA.
@@ -122,7 +124,8 @@ def bind_batch_width(program: NumpyProgram | Compiled, width: int) -> Callable[.
 
 
 def catch_missing_rule(compile_programs: Callable[..., tuple]) -> Callable[..., tuple]:
-    """Wrap a function that compiles programs: where the fused compiler has no rule, it returns the rule's name instead.
+    """Wrap a function that compiles programs so that it returns the name of a rule that the fused compiler lacks, if
+    any.
 
     So the cache can store that the programs cannot be fused.
     """
@@ -138,7 +141,7 @@ def catch_missing_rule(compile_programs: Callable[..., tuple]) -> Callable[..., 
 
 
 def report_fallback(settings: EngineSettings, missing: str) -> None:
-    """Say on standard error that XLA compiles the closed loop, as the fused compiler has no rule for `missing`.
+    """Print to standard error that XLA compiles the closed loop because the fused compiler has no rule for `missing`.
 
     Raises:
         InputError: The settings require the fused compiler.

@@ -1,4 +1,5 @@
-"""The primary engine: controller, physics and metrics of a tick in one program, fused or compiled by XLA."""
+"""The primary engine: controller, physics and metrics of a control tick in one program, compiled by the fused compiler
+or XLA."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -50,7 +51,7 @@ from sweep.models.case import Case
 
 
 class RolloutCarry(NamedTuple):
-    """State of one rollout between two control ticks."""
+    """State of one rollout between two control ticks, physics and closed loop."""
 
     state: PhysicsState
     loop: ClosedLoop
@@ -70,7 +71,7 @@ class XlaPrograms(NamedTuple):
 
 
 class MjxEngine(BatchEngine):
-    """Engine with the implicit contact step, on the structured (`arrowhead`) or on MJX's smooth dynamics."""
+    """Engine with an implicit contact step on smooth dynamics from explicit equations (`arrowhead`) or from MJX."""
 
     def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: OutcomeThresholds | None = None):
         super().__init__(settings, world, belief, limits)
@@ -84,7 +85,7 @@ class MjxEngine(BatchEngine):
             self.physics = physics.make_physics(settings, self.topology)
 
     def rollout_bytes(self) -> int:
-        """Return the bytes of plan, state and metrics of one rollout, without compiling anything."""
+        """Return the memory of one rollout's plan, state and metrics in bytes, without compiling anything."""
         with devices.precision_context(self.settings):
             start = partial(self._start, classify_sensing(self._nominal[0].noise))
             held = jax.eval_shape(start, *devices.to_jax_arrays(self._nominal), jax.random.key(0))
@@ -94,7 +95,7 @@ class MjxEngine(BatchEngine):
     def run_with_time_series(
         self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
     ) -> tuple[Metrics, np.ndarray]:
-        """Simulate a batch and record columns of some rollouts over time, see `Engine.run_with_time_series`."""
+        """Simulate a batch and record columns of some rollouts over time."""
         figures, parts = self._simulate(world, belief, streams, slots, watch.every, watch)
         return figures, np.concatenate([np.zeros((0, len(slots), len(watch.columns)), np.float32), *parts])
 
@@ -374,7 +375,7 @@ class MjxEngine(BatchEngine):
         return chunk, None
 
     def rollout_outputs(self, world: Case, belief: Case, key: Array) -> dict[str, Array]:
-        """Return the metrics of one rollout, see `BatchEngine.rollout_outputs`."""
+        """Return the metrics of one rollout as a function that JAX traces for analysis."""
         plan, carry = self._start(classify_sensing(world.noise), world, belief, key)
 
         def tick(carry: RolloutCarry, number: Array) -> tuple[RolloutCarry, None]:

@@ -1,4 +1,5 @@
-"""The independent check: C MuJoCo with its own contact solver on a thread pool, under the same controller."""
+"""The engine for independent checks: C MuJoCo with its own contact solver on a thread pool, with the same
+controller."""
 
 import sys
 import warnings
@@ -87,7 +88,7 @@ class PhysicsInputs(NamedTuple):
 
 
 class LoopState(NamedTuple):
-    """State of one rollout between controller and physics."""
+    """State of one rollout passed between controller and physics."""
 
     loop: ClosedLoop
     command: Command
@@ -105,7 +106,7 @@ class NativePrograms(NamedTuple):
     replan: Callable[..., LearnedState] | None  # see `replan_rest`
 
     def load_batch(self, inputs: Any, carried: LoopState, width: int) -> "Tiles | XlaBatch":
-        """Put a batch into the memory of the tick's kernel, or wrap it for a tick compiled by XLA.
+        """Write a batch to the memory of the tick's kernel, or wrap it for a tick compiled by XLA.
 
         Args:
             inputs: world, belief and plans of the batch.
@@ -118,13 +119,13 @@ class NativePrograms(NamedTuple):
 
 
 class XlaBatch:
-    """A batch that goes through control ticks compiled by XLA; it has the methods of `kernel.Tiles`."""
+    """A batch whose control ticks are compiled by XLA, with the methods of `kernel.Tiles`."""
 
     def __init__(self, tick: Callable[[LoopState, int], LoopState], carried: LoopState):
         self._tick, self._carried = tick, carried
 
     def replace(self, select: Callable[[Any], Any], tree: Any) -> None:
-        """Replace the values that `select` picks from the carry by those of `tree`."""
+        """Replace the values that `select` picks from the carried state by those of `tree`."""
         leaves, form = jax.tree.flatten(self._carried)
         places = jax.tree.leaves(select(jax.tree.unflatten(form, range(len(leaves)))))
         for place, x in zip(places, jax.tree.leaves(tree), strict=True):
@@ -141,12 +142,12 @@ class XlaBatch:
         return self._carried
 
     def read(self, select: Callable[[Any], Any]) -> Any:
-        """The values that `select` picks from the carry, as NumPy arrays."""
+        """Return the values that `select` picks from the carry, as NumPy arrays."""
         return jax.tree.map(np.asarray, select(self._carried))
 
 
 class NativeEngine(BatchEngine):
-    """Engine with one C simulation for each rollout; the host goes through the control ticks."""
+    """Engine with a separate C MuJoCo simulation for each rollout; the host steps through control ticks."""
 
     def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: OutcomeThresholds | None = None):
         super().__init__(settings, world, belief, limits)
@@ -157,14 +158,14 @@ class NativeEngine(BatchEngine):
         self.fused = settings.compiler != "xla"
 
     def rollout_bytes(self) -> None:
-        """Return None: C code owns plan, state and metrics."""
+        """Return None: C code allocates plan, state and metrics."""
         return None
 
     @devices.convert_memory_errors()
     def run_with_time_series(
         self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
     ) -> tuple[Metrics, np.ndarray]:
-        """Simulate a batch and record columns of some rollouts over time, see `Engine.run_with_time_series`."""
+        """Simulate a batch and record columns of some rollouts over time."""
         figures, parts = self._simulate(world, belief, streams, slots, watch.every)
         return figures, np.concatenate([select_columns(self._nominal[0], part, watch.columns) for part in parts])
 
@@ -264,7 +265,7 @@ class NativeEngine(BatchEngine):
         return self._programs[form]
 
     def rollout_outputs(self, world: Case, belief: Case, key: Array) -> Any:
-        """Return the metrics of one rollout and the inputs of C MuJoCo, whose results count as constants."""
+        """Return metrics and C MuJoCo inputs of one rollout for analysis; results of C MuJoCo count as constants."""
         plan, (between, state) = self._start(classify_sensing(world.noise), world, belief, key)
         between = between._replace(steps=jax.tree.map(jnp.zeros_like, between.steps))
 
@@ -280,7 +281,7 @@ class NativeEngine(BatchEngine):
         return state, inputs, compute_metrics(world, plan, between.loop)
 
     def find_unread_columns(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
-        """Find parameters that change neither a metric nor MuJoCo's model, see `Engine.find_unread_columns`."""
+        """Find parameters that change neither a metric nor the MuJoCo model."""
         unread = super().find_unread_columns(sides, ends)
         models = {c: [model_bytes(self._model(sides({c: end})[0])) for end in ends[c]] for c in sorted(unread)}
         return {c for c, (low, high) in models.items() if low == high}

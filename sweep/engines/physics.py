@@ -52,7 +52,7 @@ def make_physics(settings: EngineSettings, top: ModelTopology) -> "TickPhysics":
 
 
 def execution_limits(world: Case, step: Array, h: float) -> DriveLimits:
-    """Limits of the drives, and the force of the push, during one physics step.
+    """Return drive limits and push force during one physics step.
 
     Args:
         world: the simulated case.
@@ -69,7 +69,7 @@ def execution_limits(world: Case, step: Array, h: float) -> DriveLimits:
 
 
 def push_force(execution: ExecutionFaults, step: Array, h: float) -> Float[Array, " 3"]:
-    """Mean force of the push on the base during one physics step.
+    """Return the mean force of the push on the base during one physics step.
 
     A step that overlaps the push in part gets that part of its force, so that the impulse is exact for any duration. A
     push shorter than a step has its impulse in one step, or in two.
@@ -133,7 +133,7 @@ class TickPhysics(NamedTuple):
     smooth_dynamics: Callable[[Case], SmoothDynamics]
 
     def energy(self, world: Case, state: PhysicsState) -> Array:
-        """Kinetic and potential energy (J)."""
+        """Return kinetic and potential energy (J) of a state."""
         return dynamics.mechanical_energy(self.smooth_dynamics(world), world, split_into_components(state))[0]
 
     def advance(

@@ -34,14 +34,14 @@ POSES_PER_SLICE = 1 << 16  # poses that are in memory at a time
 
 
 class CompiledPlanning(NamedTuple):
-    """A compiled start of a batch, with kernels that search for planned forces, by the names of `forces.SEARCHES`."""
+    """Compiled planning of a batch: its start program, and the kernels that search for planned forces."""
 
     program: NumpyProgram | Compiled
     searches: dict[str, Kernel]
 
     @classmethod
     def from_programs(cls, program: NumpyProgram | Compiled, searches: dict[str, KernelCode]) -> "CompiledPlanning":
-        """Load the programs that the cache stores."""
+        """Make the compiled planning from programs in the cache."""
         return cls(program, {name: Kernel(code) for name, code in searches.items()})
 
     def __call__(self, world: Any, belief: Any, keys: Array) -> Any:
@@ -60,7 +60,7 @@ def start_compilation(
     has_forces: bool,
     use_numpy: bool,
 ) -> tuple[Any, Callable[[], StoredPlanning]]:
-    """Start to compile the planning of batches.
+    """Start compiling the planning of batches in a thread pool.
 
     Args:
         pool: threads in which XLA compiles.
@@ -93,19 +93,19 @@ def evaluate_plan(function: Callable[[], Any]) -> Any:
 
 
 def key_and_case_shapes(arrays: Any) -> Any:
-    """Shapes of world, belief and key of one rollout, from those of a batch."""
+    """Return the shapes of world, belief and random key of one rollout, from those of a batch."""
     return jax.tree.map(lambda x: jax.ShapeDtypeStruct((), x.dtype), arrays)
 
 
 def batch_shapes(form: Any, width: int) -> Any:
-    """Shapes of a batch of `width`, from the shapes of one rollout."""
+    """Return the array shapes of a batch of `width` rollouts, from the shapes of one rollout."""
     return jax.tree.map(lambda x: jax.ShapeDtypeStruct((width, *x.shape), x.dtype), form)
 
 
 def compile_in_pool(
     pool: Executor, name: str, program: jax.stages.Lowered, options: dict[str, Any] | None = None
 ) -> Future[Compiled]:
-    """Have XLA compile a program in a thread, since the compiler needs no Python.
+    """Compile a program with XLA in a thread of `pool`, concurrently with Python.
 
     Args:
         pool: threads to compile in.

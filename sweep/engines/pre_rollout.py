@@ -1,4 +1,4 @@
-"""What happens before a rollout: the optional calibration of the robot, and planning from its belief.
+"""Steps before a rollout: optional calibration of the robot, and planning from its belief.
 
 Calibration is computed here, not simulated. It assumes drives so soft that every foot stays where it stands while the
 base moves; joint angles then follow from the true sizes. `calibration_rollout` simulates it.
@@ -163,7 +163,7 @@ def measure_poses(world: Case, start: InitialState, key: Array) -> PoseMeasureme
 
 
 def add_sensor_errors(world: Case, true: PoseMeasurements, key: Array) -> PoseMeasurements:
-    """Add the sensor errors of a rollout to the true means of the calibration poses.
+    """Add a rollout's sensor errors to the exact mean measurements of the calibration poses.
 
     Args:
         world: simulated parameters; `noise` gives the sizes of errors.

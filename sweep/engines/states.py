@@ -1,4 +1,4 @@
-"""Columns that can be recorded over time (`study.keep`), and how they are taken from the states of a rollout."""
+"""Columns that `study.keep` can record over time, and how they are computed from rollout states."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -16,7 +16,7 @@ ColumnGetter = Callable[[TickRecord], Any]
 
 
 def available_columns(world: Case) -> dict[str, ColumnGetter]:
-    """List the columns that can be recorded for a world.
+    """Return the names of the columns that can be recorded over time for a world.
 
     `qpos_k` and `qvel_k` are MuJoCo's; forces are on the robot, in world axes.
 
@@ -40,7 +40,7 @@ def available_columns(world: Case) -> dict[str, ColumnGetter]:
 
 
 def select_columns(world: Case, record: TickRecord, names: Sequence[str]) -> Any:
-    """Take columns out of a record.
+    """Select columns by name from recorded states.
 
     Args:
         world: simulated parameters; they determine which columns there are.

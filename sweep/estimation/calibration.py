@@ -29,7 +29,7 @@ LIFTED = 1.0  # m, deviation of a foot in the air, which thus has no weight
 
 
 class PoseMeasurements(NamedTuple):
-    """Mean measurements in each of K base poses, world axes; made by the engines."""
+    """Mean sensor measurements in each of K base poses, world axes; made by the engines."""
 
     position: Float[Array, "k 3"]  # m, of the base
     quat: Float[Array, "k 4"]  # base to world

@@ -67,7 +67,7 @@ def learnable_sizes(obstacle: Obstacle | type[Obstacle]) -> tuple[str, ...]:
 
 
 def is_learned_by_feet(obstacle: Obstacle) -> bool:
-    """Return whether feet determine these sizes, rather than where free bodies lie."""
+    """Return whether the obstacle's sizes are learned from foot contacts, rather than from where free bodies lie."""
     return not obstacle.free_bodies or bool(obstacle.stood_on)
 
 
@@ -149,7 +149,8 @@ def planning_obstacle(touched: TouchState) -> Obstacle:
 
 
 def planned_surface(touch_state: TouchState, plan: Plan, stage: Int[Array, ""]) -> Surface:
-    """Return the surface that the first plan was made for at a stage's footholds, with free bodies where they start.
+    """Return the obstacle surface at a stage's footholds for which the first plan was made, free bodies at their start
+    poses.
 
     Args:
         touch_state: state of learning.

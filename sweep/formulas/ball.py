@@ -47,7 +47,7 @@ def stabilise_delta(
     Delta: Annotated[Scalar, Input("s", 0.0, at_least=0)],
     tau: Annotated[Scalar, Input("s", 1.0, at_least=0)],
 ) -> StabilisingMotion:
-    """Body motions that stop a ball: delta from 0 to 1, and the pulse delta'.
+    """Body motion that stops a rolling ball: the shape delta, which grows from 0 to 1, and the pulse delta'.
 
     The ball ends at rest with no angular momentum gained. `delta` goes from 0 to 1 in T - Delta with an overshoot
     (golden ratio) such that its integral over T is T. The body then rests. `pulse` (delta') leaves and returns to 0,
@@ -82,7 +82,7 @@ class LateralMotion(NamedTuple):
 def lateral_mu(
     T: Annotated[Scalar, positive_input("s", 2.0)], tau: Annotated[Scalar, Input("s", 1.0, at_least=0)]
 ) -> LateralMotion:
-    """Sideways push on a ball: a pulse with a plateau.
+    """Shape mu of the sideways body motion that pushes a ball: a pulse with a plateau.
 
     The peak is 2, the plateau lasts d = T/4. The integral is 3/2 T, so that the gain of (3.1.8) must be multiplied by
     2/3 where this shape replaces the pulse.
@@ -110,7 +110,8 @@ def _bell(s: Array) -> Array:
 
 
 class BallClimbRates(NamedTuple):
-    """Least starting speed of the ball (m/s) with the best climbing rate; the rate for 1.3 times that speed."""
+    """Result of `ball_climb`: least starting speed of the ball (m/s) with its best climbing rate, and the rate at 1.3
+    times that speed."""
 
     v0_min: Annotated[Float[Array, "..."], "m/s"]
     dphi_opt: Annotated[Float[Array, "..."], "rad/s"]
@@ -194,7 +195,7 @@ def ball_omega(
 
 
 class BallDescentRates(NamedTuple):
-    """Best rate of the robot and what the ball gains by it (rad/s)."""
+    """Result of `ball_descent`: best rate of the robot, and what the ball gains by it (rad/s)."""
 
     dphi_opt: Annotated[Float[Array, "..."], "rad/s"]
     gain: Annotated[Float[Array, "..."], "rad/s"]
@@ -260,7 +261,7 @@ def ball_turn(
 
 
 class BallSwerve(NamedTuple):
-    """Path radius, spin and gain of speed of a ball that turns while the robot leans sideways."""
+    """Result of `ball_swerve`: radius of the path, spin, and gain in speed of the ball."""
 
     rho_phi: Annotated[Float[Array, "..."], "m"]
     omega_zeta: Annotated[Float[Array, "..."], "rad/s"]
@@ -285,7 +286,7 @@ def ball_swerve(
     J_r: Annotated[Scalar, Input("kg m^2", 1.0, at_least=0)],
     J_zeta: Annotated[Scalar, Input("kg m^2", 1.5, at_least=0)],
 ) -> BallSwerve:
-    """Turn of a rolling ball while the robot leans at a steady rate: radius, spin, gain of speed.
+    """Turn of a rolling ball while its robot leans sideways at a steady rate: radius, spin, gain in speed.
 
     The robot leans by phi (rad) to the inside, more by dphi (rad/s), and turns with the ball's path. The ball's speed
     is v (m/s), `h` (m) the height of the robot's mass centre over the ball; `J_r` and `J_zeta` (kg m^2) are its moments

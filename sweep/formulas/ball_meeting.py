@@ -67,7 +67,7 @@ def ball_impact(
 
 
 class BallContactFriction(NamedTuple):
-    """Coefficient of friction between the two balls."""
+    """Result of `balls_hold`: coefficient of friction between the two balls."""
 
     mu: Annotated[Float[Array, "..."], ""]
 

@@ -13,7 +13,7 @@ from sweep.formulas.roots import newton_root
 
 
 class LargestBall(NamedTuple):
-    """Largest radius of a ball (m)."""
+    """Result of `max_ball`: largest radius of a ball (m) that can be climbed."""
 
     R: Annotated[Float[Array, "..."], "m"]
 
@@ -62,7 +62,7 @@ def max_ball(
 
 
 class BodyTurnDisplacements(NamedTuple):
-    """Displacements (eta, zeta) (m) of three points of the body's axis."""
+    """Result of `body_turn`: displacements (eta, zeta) (m) of three points of the body's axis."""
 
     d_mid: Annotated[Float[Array, "... 2"], "m"]
     d_rear: Annotated[Float[Array, "... 2"], "m"]

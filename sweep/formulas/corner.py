@@ -21,7 +21,7 @@ Friction = Annotated[Scalar, positive_input("", 1.1)]
 
 
 class BalancedCornerForces(NamedTuple):
-    """Equal k_zeta for all feet, opposite k_tau for the upper and the lower ones."""
+    """Result of `corner_balanced`: k_zeta, equal for all feet, and k_tau, opposite for upper and lower feet."""
 
     k_zeta: Annotated[Float[Array, "..."], ""]
     k_tau: Annotated[Float[Array, "..."], ""]
@@ -51,7 +51,7 @@ def corner_balanced(psi: CornerHalfAngle, eps: FootOffset, k: Friction) -> Balan
 
 
 class LeastFriction(NamedTuple):
-    """Least coefficient of friction, and its vertical and horizontal components."""
+    """Result of `corner_least_friction`: least coefficient of friction, and its vertical and horizontal components."""
 
     k: Annotated[Float[Array, "..."], ""]
     k_zeta: Annotated[Float[Array, "..."], ""]
@@ -75,7 +75,7 @@ def corner_least_friction(
 
 
 class EqualNormalForces(NamedTuple):
-    """Equal normal forces N; only the upper feet use the whole friction."""
+    """Result of `corner_equalN`: equal normal forces N; only the upper feet use all friction."""
 
     k_zeta: Annotated[Float[Array, "..."], ""]
     k_tau_u: Annotated[Float[Array, "..."], ""]
@@ -99,7 +99,7 @@ def corner_equalN(psi: CornerHalfAngle, eps: FootOffset, k: Friction) -> EqualNo
 
 
 class LeastSqueeze(NamedTuple):
-    """The larger normal force of the best distribution, in P."""
+    """Result of `corner_min_squeeze`: the larger normal force of the best distribution, in units of P."""
 
     Nhat: Annotated[Float[Array, "..."], "P"]
 

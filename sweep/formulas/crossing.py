@@ -9,7 +9,7 @@ from sweep.formulas.formula import Input, Scalar, formula, positive_input
 
 
 class RaftCrossing(NamedTuple):
-    """Speed (m/s) and rate of turn (rad/s) after the push, heading (rad) and time (s) of arrival."""
+    """Result of `crossing`: speed (m/s) and turn rate (rad/s) after the push, heading (rad) and time (s) of arrival."""
 
     v0: Annotated[Float[Array, "..."], "m/s"]
     w0: Annotated[Float[Array, "..."], "rad/s"]

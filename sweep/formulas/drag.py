@@ -19,7 +19,7 @@ _NODES, _WEIGHTS = (tuple(map(float, row)) for row in np.polynomial.legendre.leg
 
 
 class DragIntegrals(NamedTuple):
-    """Integrals over the rectangle of |u|u, x|u|u and y|u|u."""
+    """Result of `drag_integrals`: integrals over the rectangle of |u|u, x|u|u and y|u|u."""
 
     I: Annotated[Float[Array, "..."], ""]  # noqa: E741 - the book's name
     Ix: Annotated[Float[Array, "..."], ""]
@@ -95,7 +95,7 @@ def _divide(number: Array, by: Array) -> Array:
 
 
 class RaftDrag(NamedTuple):
-    """Force (N) and moment about the centre (N m), body axes."""
+    """Result of `raft_drag`: force (N) and moment about the centre (N m), body axes."""
 
     R: Annotated[Float[Array, "... 3"], "N"]
     N: Annotated[Float[Array, "... 3"], "N*m"]

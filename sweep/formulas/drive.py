@@ -9,7 +9,7 @@ from sweep.formulas.formula import Input, Scalar, formula, positive_input
 
 
 class ServoResponse(NamedTuple):
-    """Response of a servo: `torque` at the joint (N m), and the closed loop's poles (1/s), the fastest first."""
+    """Result of `servo`: `torque` at the joint (N m), and the poles of the closed loop (1/s), the fastest first."""
 
     chi2: Annotated[Float[Array, "..."], "N*m*s/rad"]
     torque: Annotated[Float[Array, "..."], "N*m"]
@@ -52,7 +52,8 @@ def servo(
 
 
 class ServoDelay(NamedTuple):
-    """Longest delay of a servo at which its joint is stable, and the frequency at which it oscillates there."""
+    """Result of `servo_delay`: longest feedback delay at which the joint is stable, and the frequency at which it
+    oscillates there."""
 
     delay: Annotated[Float[Array, "..."], "s"]
     omega: Annotated[Float[Array, "..."], "rad/s"]

@@ -25,12 +25,12 @@ type Scalar = Float[Array, "..."] | float
 
 
 class NoSolution(InputError):
-    """The inputs are each in their domain, but the formula has no solution for them together."""
+    """Raised if each input of a formula is in its domain, but the formula has no solution for them together."""
 
 
 @dataclass(frozen=True)
 class Input:
-    """One input of a formula: a number, a vector of the default's size, or a choice among `options`.
+    """An input of a formula: a number, a vector of fixed size, or a choice among `options`.
 
     Modules create it in the annotation of an argument; `Formula.inputs` fills in that argument's name.
     """
@@ -88,7 +88,7 @@ def positive_input(unit: str, default: float, below: float = math.inf) -> Input:
 
 @dataclass(frozen=True)
 class Formula:
-    """A formula of the sources with its metadata; the decorator `formula` makes one for each function."""
+    """A formula with its metadata; the decorator `formula` makes one for each decorated function."""
 
     function: Callable[..., Any]
     source: str  # "monograph" or "thesis"
@@ -133,7 +133,7 @@ class Formula:
 
     @property
     def is_corrected(self) -> bool:
-        """Whether the function differs from the printed formula."""
+        """Whether the function corrects an error of the printed formula."""
         return bool(self.correction)
 
     @property
@@ -160,7 +160,7 @@ class Formula:
         return False
 
     def complete_inputs(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Validate all inputs and fill in defaults, by flat name (`prm.a`); raises `InputError`."""
+        """Validate the inputs of a formula and add defaults, by flat name such as `prm.a`. Raises `InputError`."""
         flat = dict(_flatten(values))
         names = [entry.name for entry in self.inputs]
         for name in flat:
@@ -168,7 +168,8 @@ class Formula:
         return {entry.name: entry.validate(flat.get(entry.name, entry.default), self.name) for entry in self.inputs}
 
     def evaluate(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Evaluate in double precision, whatever JAX's default, to numbers and lists; raises `InputError`."""
+        """Evaluate the formula in double precision, whatever JAX's default, to numbers and lists. Raises
+        `InputError`."""
         with jax.enable_x64(True):
             outputs = self.compute(values)
         if not all(np.all(np.isfinite(value)) for value in outputs.values()):
@@ -177,7 +178,7 @@ class Formula:
         return {name: value.tolist() for name, value in outputs.items()}
 
     def compute(self, values: Mapping[str, Any]) -> dict[str, np.ndarray]:
-        """Evaluate in JAX's default precision, nan where there is no solution; raises `InputError`."""
+        """Evaluate the formula in JAX's default precision; NaN where there is no solution. Raises `InputError`."""
         inputs = self.complete_inputs(values)
         numbers = (inputs[each.name] if each.options else jnp.asarray(inputs[each.name]) for each in self.inputs)
         arguments = {
@@ -193,7 +194,7 @@ FORMULAS: dict[str, Formula] = {}
 def formula[F: Callable[..., Any]](
     source: str, *equations: str, correction: str = "", condition: str = ""
 ) -> Callable[[F], F]:
-    """Decorator that registers a function in `FORMULAS`.
+    """Make the decorator that registers a function as a formula in `FORMULAS`.
 
     Args:
         source: "monograph" or "thesis".

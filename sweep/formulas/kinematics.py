@@ -20,7 +20,7 @@ def _side(leg: int) -> Array:
 
 
 class FootPosition(NamedTuple):
-    """Position of a foot relative to its hip, base axes."""
+    """Result of `leg_fk`: position of the foot relative to its hip, base axes."""
 
     foot: Annotated[Float[Array, "... 3"], "m"]
 
@@ -38,7 +38,8 @@ def leg_fk(
 
 
 class JointAngles(NamedTuple):
-    """Joint angles with the knee on the outer and on the inner side, and whether the foot is on the inner side."""
+    """Result of `leg_ik`: joint angles with the knee on the outer and on the inner side, and whether the foot is on the
+    inner side."""
 
     angles: Annotated[Float[Array, "... 3"], "rad"]
     mirror_knee_angles: Annotated[Float[Array, "... 3"], "rad"]
@@ -63,19 +64,19 @@ def leg_ik(
 
 
 class HipPositions(NamedTuple):
-    """Hips of legs 1 to 6, base axes."""
+    """Result of `mounts`: hips of legs 1 to 6, base axes."""
 
     points: Annotated[Float[Array, "6 3"], "m"]
 
 
 @formula("monograph", "1.1.5-1.1.6")
 def mounts(b_p: Annotated[Scalar, positive_input("m", 0.525)]) -> HipPositions:
-    """Hips of the six legs on a circle."""
+    """Hip positions of six legs on a circle."""
     return HipPositions(legs.circular_mounts(b_p))
 
 
 class StepCycleFoot(NamedTuple):
-    """Position of a foot in the axes of its step cycle."""
+    """Result of `step_cycle`: position of the foot in the axes of its step cycle."""
 
     xy: Annotated[Float[Array, "... 2"], "m"]
 
@@ -100,7 +101,7 @@ def step_cycle(
 
 
 class TransferProgress(NamedTuple):
-    """Covered share of a swing's path, and its rate."""
+    """Result of `lambda1`: share of the swing's path that is covered, and its rate."""
 
     lam: Annotated[Float[Array, "..."], ""]
     dlam: Annotated[Float[Array, "..."], "1/s"]
@@ -113,5 +114,5 @@ def lambda1(
     tstar: Annotated[Scalar, positive_input("s", 1.2156)],
     sigma2: Annotated[Scalar, Input("", 1.0, at_least=0.5, at_most=1)],
 ) -> TransferProgress:
-    """Share of an irregular swing that is done at a time, and its rate."""
+    """Share of an irregular swing's path that is covered at a time, and its rate."""
     return TransferProgress(*stepping.trapezoidal_transfer(t, t0, tstar, sigma2))

@@ -10,7 +10,8 @@ from sweep.formulas.formula import Scalar, formula, positive_input
 
 
 class LadderStatics(NamedTuple):
-    """Highest place of the load as a share of the ladder's length, and whether that is the top."""
+    """Result of `ladder`: highest position of the load as a share of the ladder's length, and whether that is the
+    top."""
 
     chi_max: Annotated[Float[Array, "..."], ""]
     holds_for_all: Annotated[Bool[Array, "..."], ""]
@@ -44,7 +45,7 @@ def ladder(
 
 
 class LadderInclination(NamedTuple):
-    """The least angle at which the ladder stands."""
+    """Result of `ladder_lean`: the least angle to the ground at which the ladder stands."""
 
     phi: Annotated[Float[Array, "..."], "rad"]
 

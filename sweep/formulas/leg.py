@@ -84,7 +84,7 @@ def _angle(cosine: Array) -> Array:
 
 
 def rectangular_mounts(length: Array | float, width: Array | float) -> Float[Array, "6 3"]:
-    """Hips in two rows along the sides of a rectangular base: monograph 1.1.
+    """Hip positions in two rows along the sides of a rectangular base: monograph 1.1.
 
     Args:
         length: Distance between the front and the rear hips (m).
@@ -98,6 +98,6 @@ def rectangular_mounts(length: Array | float, width: Array | float) -> Float[Arr
 
 
 def circular_mounts(radius: Array | float) -> Float[Array, "6 3"]:
-    """Hips of legs 1 to 6 (m, base axes) at the corners of a hexagon of `radius` (m): monograph (1.1.5)."""
+    """Hip positions of legs 1 to 6 (m, base axes) at the corners of a hexagon of `radius` (m): monograph (1.1.5)."""
     angle = jnp.array([np.pi / 6 + i // 2 * np.pi / 3 for i in range(6)])
     return jnp.stack([-radius * jnp.cos(angle), SIDE_BY_LEG * radius * jnp.sin(angle), jnp.zeros(6)], axis=-1)

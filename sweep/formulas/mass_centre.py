@@ -18,7 +18,7 @@ def leg_mass_centre(
     thigh_mass: Scalar,
     shin_mass: Scalar,
 ) -> Float[Array, "*b 3"]:
-    """Mass centre of a leg of two uniform links: monograph (3.1.9).
+    """Mass centre of a leg that consists of two uniform links: monograph (3.1.9).
 
     Args:
         side: +1 for legs on the left, -1 on the right.
@@ -37,7 +37,7 @@ def leg_mass_centre(
 
 
 class MassCentreJacobian(NamedTuple):
-    """Derivative of the robot's mass centre by the position of its base, both relative to the ball's centre."""
+    """Result of `ball_jacobian`: derivative of the robot's mass centre by the position of its base."""
 
     D: Annotated[Float[Array, "3 3"], ""]
 

@@ -15,7 +15,8 @@ WaterDragCoefficient = Annotated[Scalar, positive_input("N*s/m^3", 20.0)]
 
 
 class TowedRaftMotion(NamedTuple):
-    """Speed (m/s), nose-down tilt (rad), slower pole of the heading (1/s); the heading is stable if it is negative."""
+    """Result of `raft_tow`: speed (m/s), nose-down tilt (rad), and the slower pole of the heading (1/s), stable if
+    negative."""
 
     speed: Annotated[Float[Array, "..."], "m/s"]
     tilt: Annotated[Float[Array, "..."], "rad"]
@@ -57,7 +58,7 @@ def raft_tow(
 
 
 class PushedRaftMotion(NamedTuple):
-    """Speeds along the raft's axes (m/s), rotations about them (rad), rise of the centre (m)."""
+    """Result of `raft_push`: speeds along the raft's axes (m/s), rotations about them (rad), rise of the centre (m)."""
 
     speed_x: Annotated[Float[Array, "..."], "m/s"]
     speed_y: Annotated[Float[Array, "..."], "m/s"]

@@ -32,7 +32,7 @@ ERROR_WEIGHTS = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 
 
 
 class RaftBody(NamedTuple):
-    """A raft and its load: geometry, water, drag, mass and weight.
+    """Parameters of a raft with its load: geometry, water, drag, mass and weight.
 
     Half sides a, b, d (m), specific weight of water gamma (N/m^3), waterline zeta0 over the centre at rest (m). P (N)
     is the weight of raft and load, acting at `rs` (m, body axes); M (kg) is the mass and J (kg m^2) the moments of
@@ -55,7 +55,7 @@ class RaftBody(NamedTuple):
 def raft_wrench(
     raft: RaftBody, z: Scalar, R: Float[Array, "3 3"], v: Float[Array, " 3"], w: Float[Array, " 3"]
 ) -> tuple[Float[Array, " 3"], Float[Array, " 3"]]:
-    """Buoyancy, drag and weight of a raft in motion: monograph (4.2.1).
+    """Force and torque of buoyancy, drag and weight on a raft in motion: monograph (4.2.1).
 
     Args:
         raft: The raft and its load.
@@ -110,7 +110,7 @@ def _cross(vector: Float[Array, " 3"]) -> Float[Array, "3 3"]:
 
 
 class RaftModes(NamedTuple):
-    """Poles of the linear motion (1/s) and whether none of them grows."""
+    """Result of `raft_modes`: poles of the linear motion (1/s), and whether none of them grows."""
 
     poles_re: Annotated[Float[Array, " 12"], "1/s"]
     poles_im: Annotated[Float[Array, " 12"], "1/s"]
@@ -152,7 +152,7 @@ def raft_ode(
     state0: Annotated[Float[Array, " 18"], Input("SI", (0.0, 0.0, 0.0, *_LEVEL, 0.2, 0.0, 0.0, 0.0, 0.0, 0.05))],
     t_end: Annotated[Scalar, positive_input("s", 1.5)],
 ) -> RaftEndState:
-    """Motion of a raft: state (r, R by rows, v, w) after some time.
+    """State of a moving raft (position r, rotation R by rows, velocity v, angular velocity w) after some time.
 
     (4.2.1)-(4.2.3) integrated over t_end (s). Nan if the integration does not get there.
     """
@@ -201,7 +201,7 @@ def integrate(
 
 
 def state_derivative(raft: RaftBody, state: Float[Array, " 18"]) -> Float[Array, " 18"]:
-    """Time derivative of a raft's state, whose layout the module describes: monograph (4.2.1), (4.2.3)."""
+    """Time derivative of a raft's state (r, R by rows, v, w): monograph (4.2.1), (4.2.3)."""
     r, R, v, w = split_state(state)
     force, moment = raft_wrench(raft, r[2], R, v, w)
     spin = (moment - jnp.cross(w, raft.J * w)) / raft.J

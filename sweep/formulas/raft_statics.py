@@ -22,7 +22,7 @@ WaterWeight = Annotated[Scalar, positive_input("N/m^3", 9810.0)]
 
 
 class HydrostaticForce(NamedTuple):
-    """Buoyant force (N) and its moment about the centre (N m), body axes."""
+    """Result of `hydro`: buoyant force (N) and its moment about the centre (N m), body axes."""
 
     F: Annotated[Float[Array, "... 3"], "N"]
     M: Annotated[Float[Array, "... 3"], "N*m"]
@@ -79,7 +79,8 @@ def buoyancy(
 
 
 class RaftStiffness(NamedTuple):
-    """Restoring moment over the angle, about x (roll) and y (pitch); negative capsizes."""
+    """Result of `hydro_thick`: restoring moment per angle about x (roll) and y (pitch); a raft with a negative one
+    capsizes."""
 
     k_roll: Annotated[Float[Array, "..."], "N*m/rad"]
     k_pitch: Annotated[Float[Array, "..."], "N*m/rad"]
@@ -104,7 +105,7 @@ def hydro_thick(
 
 
 class RaftEquilibrium(NamedTuple):
-    """The vertical in body axes, and the depth of the centre (m)."""
+    """Result of `raft_equilibrium`: the vertical in body axes, and the depth of the centre (m)."""
 
     a31: Annotated[Float[Array, "..."], ""]
     a32: Annotated[Float[Array, "..."], ""]
@@ -152,7 +153,8 @@ def raft_equilibrium(
 
 
 class OffsetLimit(NamedTuple):
-    """Largest distance of the robot from the raft's middle, fore and aft, and sideways (m)."""
+    """Result of `raft_offset_limit`: largest distance of the robot from the raft's middle, lengthwise and sideways
+    (m)."""
 
     delta_x: Annotated[Float[Array, "..."], "m"]
     delta_y: Annotated[Float[Array, "..."], "m"]

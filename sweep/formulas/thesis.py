@@ -113,7 +113,7 @@ def thesis_ik_euler(
 
 
 class Workspace(NamedTuple):
-    """Inner and outer radius from the mount, half angle of the sector (rad)."""
+    """Result of `thesis_workspace`: inner and outer radius from the mount, and half angle of the sector (rad)."""
 
     OA: Annotated[Float[Array, "..."], "length"]
     OB: Annotated[Float[Array, "..."], "length"]

@@ -1,4 +1,4 @@
-"""The fused compiler: the closed loop of a batch as one native kernel, made from the program that JAX traces.
+"""The fused compiler: compiles the program that JAX traces for one rollout into one native kernel for a batch.
 
 `trace` lets JAX trace a rollout's tick. `interpret` applies a rule for each of JAX's primitives (`rules`); `maths` and
 `randomness` expand some of them into simpler ones. `arrays` takes them apart into operations on single numbers, which

@@ -1,4 +1,4 @@
-"""Array operations as operations on single numbers, or on all legs at once where one operation gives all six.
+"""Array operations expressed as operations on single numbers, or on all legs at once where they are alike.
 
 An array is a NumPy array of nodes of the same shape. Moving elements is NumPy's own indexing and makes no operation.
 Along an axis as long as the group, nodes that one operation gives for all legs are combined into one operation.
@@ -41,7 +41,8 @@ Array = Any  # NumPy array of nodes
 
 @dataclass(frozen=True, eq=False)
 class RowUpdate:
-    """An array in memory with one row replaced; written back there, it is one store at a computed address."""
+    """An array in memory of which one row is replaced; written back, the update is a single store at a computed
+    address."""
 
     array: Array  # (rows, ...), unchanged in memory
     row: Node  # index of the row, within the array and the same for all rollouts
@@ -49,17 +50,17 @@ class RowUpdate:
 
 
 class UnsupportedPrimitive(Exception):
-    """Raised for a JAX primitive, or a form of it, that the fused compiler has no rule for."""
+    """Raised for a JAX primitive, or a form of one, for which the fused compiler has no rule."""
 
 
 class ArrayBuilder:
-    """Builds array operations into the `Program` that is being written."""
+    """Writes array operations into a `Program` as operations on single numbers."""
 
     def __init__(self, program: Program):
         self.program, self.group = program, program.group
 
     def constant(self, value: Any) -> Array:
-        """Constant array of known numbers."""
+        """Make a constant array of known numbers."""
         value = np.asarray(value)
         return build_array(value.shape, lambda at: self.program.const(value[at], value.dtype.name))
 
@@ -75,7 +76,7 @@ class ArrayBuilder:
         return self.program.node(name, args, dtype)
 
     def map_elements(self, name: str, args: Sequence[Array], dtype: str) -> Array:
-        """Apply an operation element by element, and once for all legs along an axis of theirs.
+        """Apply an operation to arrays element by element, once for all legs along an axis of legs.
 
         Args:
             name: operation, by JAX's name.
@@ -99,7 +100,7 @@ class ArrayBuilder:
         return np.moveaxis(result, -1, axis)
 
     def reduce(self, name: str, x: Array, axes: Sequence[int], dtype: Any) -> Array:
-        """Reduce an array along `axes` in order of the elements; the legs' axis comes last.
+        """Reduce an array along `axes` in order of the elements; the axis of legs is reduced last.
 
         Args:
             name: operation that combines two numbers.
@@ -139,7 +140,7 @@ class ArrayBuilder:
         return total
 
     def select_by_index(self, index: Array, cases: Sequence[Array]) -> Array:
-        """Select, element by element, the case that `index` names.
+        """Select between arrays element by element: the element of the array whose number is `index`.
 
         Args:
             index: array of indices.
@@ -157,7 +158,7 @@ class ArrayBuilder:
     # the legs
 
     def leg_values(self, node: Node) -> list[Node]:
-        """Nodes of each leg's value, from a node that stands for all legs."""
+        """Split a node that stands for all legs into a node for each leg."""
         if not node.leg:
             return [node] * self.group
         if node.op == "const":
@@ -213,7 +214,7 @@ class ArrayBuilder:
     # memory
 
     def load(self, region: MemoryRegion, index: int, depth: int) -> Node:
-        """Number `index` of a memory region, as the block at `depth` sees it."""
+        """Load element `index` of a memory region, for a block nested in `depth` loops."""
         return self.program.node("load", (), region.dtype, Address(region, index, depth, 0), leg=False)
 
     def load_array(self, region: Any, shape: tuple, depth: int) -> Array:
@@ -222,7 +223,7 @@ class ArrayBuilder:
         return build_array(shape, lambda i: self.load(region, int(at[i]), depth))
 
     def save(self, region: MemoryRegion | None, x: Array | RowUpdate, items: list[Any]) -> None:
-        """Store an array to a region; numbers that the region holds already are skipped.
+        """Store an array to a memory region, except numbers that are already there.
 
         Args:
             region: the memory; None to store nothing.
@@ -271,7 +272,7 @@ class ArrayBuilder:
     # indices that depend on the rollout
 
     def read_window(self, x: Array, starts: Sequence[Node], sizes: Sequence[int]) -> Array:
-        """The window of `x` of shape `sizes` at `starts`, which are clamped as in `lax.dynamic_slice`."""
+        """Return the window of `x` with shape `sizes` at `starts`, clamped as in `lax.dynamic_slice`."""
         last = [n - size for n, size in zip(x.shape, sizes, strict=True)]
         starts = [self.clamp_index(s, most) for s, most in zip(starts, last, strict=True)]
         moving = [d for d, s in enumerate(starts) if s.op != "const"]
@@ -305,7 +306,7 @@ class ArrayBuilder:
         return x
 
     def resolve_update(self, x: Array | RowUpdate) -> Array:
-        """Turn a row update into a plain array, each element of which chooses by the row's number."""
+        """Turn a row update into a plain array whose elements select between old and new row."""
         if not isinstance(x, RowUpdate):
             return x
         result = x.array.copy()
@@ -365,7 +366,7 @@ class ArrayBuilder:
 
 
 def build_array(shape: tuple, element: Callable[[tuple], Any]) -> Array:
-    """Array of nodes from a function of the index."""
+    """Make an array of nodes by calling `element` at each index."""
     out = np.empty(shape, object)
     for i in np.ndindex(shape):
         out[i] = element(i)
@@ -373,7 +374,7 @@ def build_array(shape: tuple, element: Callable[[tuple], Any]) -> Array:
 
 
 def slices_along(x: Array, axis: int) -> list[Array]:
-    """Slices of an array along an axis."""
+    """Return the slices of an array along an axis."""
     moved = np.moveaxis(x, axis, 0)
     return [moved[k, ...] for k in range(len(moved))]
 

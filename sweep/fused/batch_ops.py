@@ -1,4 +1,4 @@
-"""JAX's primitives on NumPy arrays whose last axis is the batch, or of length 1 where all rollouts agree.
+"""JAX's primitives as NumPy functions of arrays whose last axis is the batch, or has length 1 if all rollouts agree.
 
 A rule is a function of this module or a ufunc with all static parameters bound, so that it can be pickled. No result
 depends on the number of rollouts or on their order: sums go term by term.
@@ -79,7 +79,7 @@ def polynomial(x: BatchArray, *coefficients: BatchArray) -> BatchArray:
 
 
 def select(index: BatchArray, *cases: BatchArray) -> BatchArray:
-    """Select by `index` among `cases`, element by element."""
+    """Select element by element between arrays: the element of the array whose number is `index`."""
     if len(cases) == 2:
         return np.where(index, cases[1], cases[0])
     result = cases[-1]
@@ -149,7 +149,7 @@ def stack(axis: int, *parts: BatchArray) -> BatchArray:
 
 
 def unstack(axis: int, x: BatchArray) -> list[BatchArray]:
-    """Slices of an array along an axis."""
+    """Return the slices of an array along an axis."""
     return list(np.moveaxis(x, axis, 0))
 
 
@@ -181,7 +181,7 @@ def reduce_extreme(ufunc: np.ufunc, axes: tuple[int, ...], x: BatchArray) -> Bat
 
 
 def iota(shape: tuple[int, ...], axis: int, dtype: np.dtype) -> BatchArray:
-    """Index of every element along an axis."""
+    """Return an array of `shape` that holds the index of each element along an axis."""
     return np.broadcast_to(
         np.arange(shape[axis], dtype=dtype).reshape([-1 if d == axis else 1 for d in range(len(shape) + 1)]),
         (*shape, 1),
@@ -189,17 +189,17 @@ def iota(shape: tuple[int, ...], axis: int, dtype: np.dtype) -> BatchArray:
 
 
 def full(value: Any, dtype: np.dtype) -> BatchArray:
-    """A constant that all rollouts share."""
+    """Make a constant that is the same for all rollouts."""
     return np.full(1, value, dtype)
 
 
 def fill_empty_reduction(shape: tuple[int, ...], value: Any, x: BatchArray) -> BatchArray:
-    """Array filled with one value, the result of a reduction over nothing."""
+    """Return an array filled with one value, the result of a reduction over no elements."""
     return np.full((*shape, 1), value, x.dtype)
 
 
 def argextreme(argfunc: Callable, axis: int, dtype: np.dtype, x: BatchArray) -> BatchArray:
-    """Index of the first maximum or minimum along an axis."""
+    """Return the index of the first maximum or minimum along an axis."""
     return argfunc(x, axis=axis).astype(dtype)
 
 
@@ -211,7 +211,7 @@ def accumulate(add: np.ufunc, axis: int, reverse: bool, x: BatchArray) -> BatchA
 
 
 class DotDimensions(NamedTuple):
-    """Static parameters of a product of matrices: orders of axes, and numbers of contracted, shared and free ones."""
+    """Static parameters of a dot product: orders of axes, and numbers of contracted, batch and free axes."""
 
     left: tuple[int, ...]
     right: tuple[int, ...]
@@ -250,7 +250,7 @@ def _products(a: BatchArray, b: BatchArray, result: BatchArray) -> None:
 
 
 def cholesky(x: BatchArray) -> BatchArray:
-    """Lower triangle of the Cholesky decomposition of the matrices in the last two axes before the batch."""
+    """Return the lower Cholesky factors of matrices, in the last two axes before the batch."""
     rest, result = x.copy(), np.zeros_like(x)
     for k in range(x.shape[-2]):
         column = rest[..., k:, k, :] / np.sqrt(rest[..., k, k, :])[..., None, :]
@@ -291,7 +291,7 @@ def solve_triangular(how: TriangularSystem, a: BatchArray, b: BatchArray) -> Bat
 
 
 class WindowIndexing(NamedTuple):
-    """Static parameters of a gather or scatter: where windows lie in an array."""
+    """Static parameters of a gather or scatter, which determine where its windows lie in an array."""
 
     shape: tuple[int, ...]  # shape of the array
     sizes: tuple[int, ...]  # sizes of a window, by axis of the array
@@ -302,7 +302,7 @@ class WindowIndexing(NamedTuple):
     rank: int  # rank of the result
 
     def resolve(self, indices: BatchArray) -> tuple[list[BatchArray], BatchArray]:
-        """Compute where each element of the result lies.
+        """Compute the index in the array for each element of the windows.
 
         Args:
             indices: start of each window.
@@ -330,7 +330,8 @@ class WindowIndexing(NamedTuple):
 
 
 def gather(places: WindowIndexing, fill: Any, x: BatchArray, indices: BatchArray) -> BatchArray:
-    """Windows of `x`. Outside of the array an element is `fill`, or clamped to the nearest one if `fill` is None."""
+    """Return windows of `x` at `indices`. Elements outside the array are `fill`, or clamped to the nearest if `fill` is
+    None."""
     at, within = places.resolve(indices)
     if all(i.shape[-1] == 1 for i in at):
         result = x[(*np.broadcast_arrays(*[i[..., 0] for i in at]), slice(None))]
@@ -359,7 +360,7 @@ def scatter(
 
 
 def dynamic_slice(sizes: tuple[int, ...], x: BatchArray, *starts: BatchArray) -> BatchArray:
-    """Window of `x` at `starts`, clamped to lie within the array."""
+    """Return a window of `x` with shape `sizes`, at start indices that are clamped to keep it inside the array."""
     lasts = [n - size for n, size in zip(x.shape, sizes, strict=False)]
     if all(s.shape[-1] == 1 for s in starts):
         first = [min(max(int(s[0]), 0), last) for s, last in zip(starts, lasts, strict=True)]
@@ -369,7 +370,7 @@ def dynamic_slice(sizes: tuple[int, ...], x: BatchArray, *starts: BatchArray) ->
 
 
 def dynamic_update_slice(x: BatchArray, update: BatchArray, *starts: BatchArray) -> BatchArray:
-    """`x` with a window replaced; the window is clamped to lie within the array."""
+    """Replace a window of `x` by `update`, at start indices that are clamped to keep it inside the array."""
     width = max(y.shape[-1] for y in (x, update, *starts))
     result = np.repeat(x, width, axis=-1) if x.shape[-1] < width else x.copy()
     lasts = [n - size for n, size in zip(x.shape, update.shape[:-1], strict=False)]

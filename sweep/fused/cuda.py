@@ -1,4 +1,4 @@
-"""GPU code: the program as LLVM assembly for NVIDIA GPUs. One kernel runs all ticks; a thread block has some rollouts.
+"""GPU code generation: prints a program as LLVM assembly for one kernel that runs all ticks.
 
 Loops, such as those of physics, have a lane of a warp for each leg, five rollouts in a warp; each lane computes what
 the legs share. The parts between them, where legs have less to do, have a thread for each rollout if the batch is
@@ -44,7 +44,7 @@ ZERO, HALF, ONE = "0.0", "0.5", "1.0"
 
 
 class StoredValue(NamedTuple):
-    """Where a value that one part computes for later ones lies in a rollout's state."""
+    """Location in a rollout's state of a value that one part of a kernel computes for later parts."""
 
     word: int
     words_per_leg: int  # words from leg to leg
@@ -54,7 +54,7 @@ class StoredValue(NamedTuple):
 
 
 class GpuPrinter(LlvmFunctionPrinter):
-    """Prints a program as a kernel `run(given, first, state)`, or with `kept` and `record` besides.
+    """Prints a program as a GPU kernel `run(given, first, state)`, optionally with recorded columns.
 
     A launch runs `ticks` ticks. `given` and `state` are tiles of memory. `kept` holds each rollout's place among the
     recorded ones, or -1. If none is recorded, a warp leaves its rollouts as they are once all of them are over.
@@ -106,7 +106,7 @@ class GpuPrinter(LlvmFunctionPrinter):
         self._ticks(*parts)
 
     def module_text(self) -> str:
-        """The module as LLVM assembly for a GPU."""
+        """Return the program as LLVM assembly for a GPU."""
         told = ["readonly %kept_", "%record_"] if self.room else []
         operands = ", ".join(f"ptr noalias {x}" for x in ("readonly %given_", "readonly %first_", "%state_", *told))
         return "\n".join([
@@ -473,7 +473,7 @@ class GpuPrinter(LlvmFunctionPrinter):
     # values
 
     def value_name(self, node: Node) -> str:
-        """Name of a node's value, for this lane's leg if it is one of the legs."""
+        """Return the LLVM name of a node's value, for this lane's leg if the node stands for all legs."""
         if node.op == "const" and not node.leg:
             return self.literal(constant_value(node))
         if node.op == "handed_on":
@@ -640,7 +640,7 @@ def rollouts_per_warp(group: int) -> int:
 
 @contextmanager
 def ptx_compiler() -> Iterator[Callable[[str], str]]:
-    """Context that yields a compiler from LLVM assembly to PTX, in a process that starts meanwhile.
+    """Context that yields a function from LLVM assembly to PTX, run in a subprocess that starts in the background.
 
     Raises:
         Unsupported: LLVM cannot compile the module.

@@ -1,4 +1,4 @@
-"""Which inputs of a function can change its outputs, as JAX traces it: nothing is compiled or computed."""
+"""Analysis of which inputs of a JAX function can change its outputs, from its trace, without compiling or computing."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -35,7 +35,7 @@ def find_unread_columns(
     sides: Callable[[Mapping[str, Any]], tuple[Any, Any]],
     ends: Mapping[str, tuple[float, float]],
 ) -> set[str]:
-    """Find parameters that no result of a rollout's program depends on, see `Engine.find_unread_columns`.
+    """Find parameters on which no result of a rollout's program depends.
 
     Args:
         outputs: from world, belief and a random key to all that metrics are made of.

@@ -1,4 +1,4 @@
-"""Interface to NVIDIA's driver: PTX is translated to machine code once, and launched from an XLA program.
+"""Interface to NVIDIA's driver: translates PTX to machine code, and launches kernels from XLA programs.
 
 XLA's own call of a kernel keeps its PTX text, which the driver translates at every start; machine code, which is not
 UTF-8, is lost when XLA serialises the program. So the machine code is stored beside the program. A handler of XLA's
@@ -30,7 +30,7 @@ LaunchFunction = Callable[["KernelCall"], None]
 
 
 class KernelCall(NamedTuple):
-    """One call of a kernel, as XLA passes it to the handler."""
+    """One launch of a GPU kernel, as XLA passes it to the handler."""
 
     stream: int | None  # None on a CPU
     key: str
@@ -107,14 +107,14 @@ class _Frame(ctypes.Structure):
 
 
 def kernel_key(text: str) -> str:
-    """Key of a kernel: the hash of its PTX."""
+    """Return the cache key of a kernel, the hash of its PTX."""
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 def call_kernel(
     key: str, threads: int, operands: Sequence[Array], changed: Sequence[int], target: str = CALL_TARGET
 ) -> Any:
-    """Have a kernel change some operands, within a function that XLA compiles.
+    """Launch a kernel that changes some of its operands in place, within a function that XLA compiles.
 
     By the time of the call the kernel has to be added (`add_kernel`), or its translation has to be started
     (`start_ptx_translation`).
@@ -138,7 +138,7 @@ def call_kernel(
 
 
 def make_xla_handler(launch: LaunchFunction) -> Any:
-    """Make a handler that XLA calls by a pointer, and that passes calls to `launch`. It has to be kept alive."""
+    """Make a function pointer through which XLA calls `launch`; the returned object must be kept alive."""
 
     @ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.POINTER(_Frame))
     def handle_call(address: Any) -> int | None:
@@ -178,7 +178,7 @@ def _read(text: _Text) -> bytes:
 
 
 def driver_version() -> int:
-    """Version of NVIDIA's driver, 0 without one: an older driver may not accept machine code of a newer one."""
+    """Return the version of NVIDIA's driver, 0 if there is none."""
     found = ctypes.c_int(0)
     with suppress(OSError):
         _call_driver("cuDriverGetVersion", ctypes.byref(found))
@@ -193,7 +193,7 @@ def start_ptx_translation(text: str) -> str:
 
 
 def wait_for_kernel(name: str) -> GpuKernel:
-    """Wait for a translation. Raises `Unsupported`, with the driver's message, if it failed."""
+    """Wait for the translation of a kernel. Raises `UnsupportedPrimitive` with the driver's message if it failed."""
     return GpuKernel(name, _machine_code[name].result())
 
 

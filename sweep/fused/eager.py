@@ -1,4 +1,4 @@
-"""Programs that are not worth compiling: NumPy executes JAX's trace of one rollout for a whole batch.
+"""Execution by NumPy of programs that are not worth compiling, from JAX's trace of one rollout, for a whole batch.
 
 Executing an operation takes some microseconds, compiling it ten thousand times as long, so this pays for what runs once
 a batch. The last axis of an array is the batch; it has length 1 where all rollouts agree, so that this is computed
@@ -25,7 +25,7 @@ IDENTITY_PRIMITIVES = frozenset(("stop_gradient", "copy", "optimization_barrier"
 
 
 class Operation(NamedTuple):
-    """One operation of a program: the numbers of its operands and of its results in the list of values."""
+    """One operation of a program, with the numbers of its operands and results in the list of values."""
 
     rule: Callable[..., Any] | str  # or the name of an external function
     reads: tuple[int, ...]
@@ -43,7 +43,7 @@ class OperationList(NamedTuple):
     outputs: tuple[int, ...]
 
     def execute(self, args: Sequence[BatchArray], external: Mapping[str, Callable[..., Any]]) -> list[BatchArray]:
-        """Run the program.
+        """Run the program on argument values and return its results.
 
         Args:
             args: values of its inputs.
@@ -142,7 +142,7 @@ def evaluate_constants(function: Callable[[], Any], external: Mapping[str, Calla
 
 
 class OperationListWriter:
-    """Makes a `OperationList` from JAX's trace. It folds constants and merges equal operations."""
+    """Makes an `OperationList` from JAX's trace, folding constants and merging equal operations."""
 
     def __init__(self, external: Collection[str] = ()):
         self.apart = external
@@ -154,12 +154,12 @@ class OperationListWriter:
         self._there: dict[Any, tuple[int, ...]] = {}
 
     def new_value(self) -> int:
-        """Return the number of a new value."""
+        """Return the number for a new value of the program."""
         self._size += 1
         return self._size - 1
 
     def constant_value(self, value: BatchArray) -> int:
-        """Return the number of a value that is known while tracing."""
+        """Return the number of a value that is a constant of the program."""
         value = np.ascontiguousarray(value)
         what = value.dtype.str, value.shape, value.tobytes()
         if what not in self._constants:
@@ -192,7 +192,7 @@ class OperationListWriter:
         return [read(atom) for atom in jaxpr.outvars]
 
     def select_operations(self, inputs: tuple[int, ...], outputs: Sequence[int]) -> OperationList:
-        """The program that computes `outputs` from `inputs`, without unused operations."""
+        """Return the program that computes `outputs` from `inputs`, without unused operations."""
         wanted, kept = set(outputs), []
         for rule, reads, writes in reversed(self._steps):
             if wanted.intersection(writes):
@@ -303,7 +303,7 @@ class OperationListWriter:
 
 
 class ScanParameters(NamedTuple):
-    """Static parameters of a loop."""
+    """Static parameters of a `lax.scan` loop."""
 
     body: OperationList
     length: int
@@ -313,7 +313,7 @@ class ScanParameters(NamedTuple):
 
 
 def run_scan(how: ScanParameters, *args: BatchArray) -> list[BatchArray]:
-    """Run a loop. Returns the carry at the end and the stacked outputs of its steps."""
+    """Run a `lax.scan` loop; return the carry at the end and the stacked outputs."""
     consts, carry, rows = (
         args[: how.const_count],
         args[how.const_count :][: how.carry_count],
@@ -329,7 +329,7 @@ def run_scan(how: ScanParameters, *args: BatchArray) -> list[BatchArray]:
 
 
 class WhileParameters(NamedTuple):
-    """Static parameters of a loop that a condition ends."""
+    """Static parameters of a `lax.while_loop`."""
 
     test: OperationList
     body: OperationList
@@ -338,7 +338,8 @@ class WhileParameters(NamedTuple):
 
 
 def run_while(how: WhileParameters, *args: BatchArray) -> list[BatchArray]:
-    """Run a loop until no rollout goes on. Returns the carry, in which each rollout stays as it ended."""
+    """Run a `lax.while_loop` until no rollout continues; return the carry, frozen for each rollout when its condition
+    fails."""
     first, rest = args[: how.test_consts], args[how.test_consts :]
     consts, carry = rest[: how.body_consts], list(rest[how.body_consts :])
     while True:
@@ -350,7 +351,7 @@ def run_while(how: WhileParameters, *args: BatchArray) -> list[BatchArray]:
 
 
 def run_switch(branches: Sequence[OperationList], index: Any, *args: BatchArray) -> list[BatchArray]:
-    """Run the branch that `index` names, or for each rollout its own."""
+    """Run the branch that `index` names, separately for each rollout if they differ."""
     index = index.astype(int)
     if len(index) == 1:
         return branches[min(max(int(index[0]), 0), len(branches) - 1)].execute(args, {})

@@ -30,7 +30,7 @@ MAX_UNROLLED_OPERATIONS = 1000  # operations up to which a loop is unrolled
 
 
 class Interpreter(ArrayBuilder):
-    """Applies the rules for JAX's primitives and writes a `Program`."""
+    """Interprets a jaxpr by the rules for its primitives and writes a `Program`."""
 
     def evaluate(self, jaxpr: Any, consts: Sequence[Any], args: Sequence[Array | RowUpdate]) -> list[Array | RowUpdate]:
         """Add the operations of a jaxpr to the program.
@@ -58,7 +58,7 @@ class Interpreter(ArrayBuilder):
         return [read(atom) for atom in jaxpr.outvars]
 
     def apply(self, eqn: Any, args: list[Array | RowUpdate]) -> list[Array | RowUpdate]:
-        """Add one of JAX's operations on `args`."""
+        """Add one jaxpr equation, applied to `args`, to the program."""
         name, params = eqn.primitive.name, eqn.params
         if name in CALL_PRIMITIVES:
             inner = params[CALL_PRIMITIVES[name]]
@@ -87,7 +87,7 @@ class Interpreter(ArrayBuilder):
         raise UnsupportedPrimitive(name)
 
     def trace_expansion(self, function: Callable, args: Sequence[Array], dtypes: Sequence[Any]) -> Array:
-        """Replace an operation by `function`, which is written in other primitives.
+        """Add an operation as its expansion `function`, written in other primitives.
 
         Args:
             function: function of JAX arrays.

@@ -1,4 +1,4 @@
-"""Programs inside operations that JAX has traced: bodies of loops, branches, calls."""
+"""Access to the jaxprs inside JAX operations: bodies of loops, branches and calls."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ class ScanOperands[T](NamedTuple):
 
 
 def split_scan_operands[T](eqn: Any, operands: Sequence[T]) -> ScanOperands[T]:
-    """Split what belongs to the operands of a scan by their role.
+    """Split a list of a scan's operands by role: constants, carry and scanned inputs.
 
     Args:
         eqn: The traced scan.
@@ -34,11 +34,11 @@ def count_carry_results(eqn: Any) -> int:
 
 
 def inner_jaxpr(program: Any) -> Any:
-    """Return a program without the values of its constants, which it may come with."""
+    """Return a jaxpr without the values of its constants."""
     return getattr(program, "jaxpr", program)
 
 
 def inner_jaxprs(eqn: Any) -> list[Any]:
-    """Return the programs in the parameters of an operation: a call's, a loop's, those of all branches."""
+    """Return all jaxprs among the parameters of an operation: of a call, a loop, or branches."""
     programs = [*eqn.params.values(), *eqn.params.get("branches", ())]
     return [inner_jaxpr(one) for one in programs if hasattr(one, "eqns") or hasattr(one, "jaxpr")]

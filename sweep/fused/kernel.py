@@ -36,7 +36,8 @@ TickFunction = Callable[
 
 
 def choose_lanes(width: int, cores: int) -> int:
-    """Number of vector lanes for a batch: few as long as no core would get two such tiles. Results do not depend on it.
+    """Return the number of vector lanes for a batch; fewer lanes if each core gets only one tile. Results do not depend
+    on it.
 
     Args:
         width: number of rollouts.
@@ -83,7 +84,7 @@ def compile_function(
 def start_compilation(
     function: TickFunction, inputs: Any, carry: Any, group: int = LEG_COUNT, lanes: int = llvm.TILE_LANES
 ) -> Callable[[], KernelCode]:
-    """Print a tick function, and return a function that compiles the text; that takes most of the time and no Python.
+    """Print a tick function as LLVM assembly, and return a function that compiles it, which can run in a thread.
 
     Args:
         function: tick of one rollout, `(inputs, carry, number) -> (carry, record)`.
@@ -128,7 +129,7 @@ class Kernel:
         self.run = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 3, *[ctypes.c_int64] * 3)(address)
 
     def load_batch(self, inputs: Any, carry: Any, width: int) -> "Tiles":
-        """Put a batch into memory.
+        """Write a batch to the kernel's memory.
 
         Args:
             inputs: tree of inputs; leaves with one more axis than the kernel's differ among rollouts.
@@ -142,7 +143,7 @@ class Kernel:
 
 
 class Tiles:
-    """A batch in a kernel's memory. `select` picks arrays, or trees of them, from the carry."""
+    """A batch in a CPU kernel's memory; the argument `select` of its methods picks arrays from the carried state."""
 
     def __init__(self, kernel: Kernel, width: int):
         self.code, self.width, lanes = kernel.code, width, kernel.code.lanes
@@ -154,7 +155,7 @@ class Tiles:
         self._scratch = [_allocate_aligned(1, self.code.scratch_bytes) for _ in rooms]
 
     def write(self, leaves: Sequence[ArrayLayout], tree: Any) -> None:
-        """Write values of a batch, or one for all of it. Idle lanes of the last tile repeat the last rollout."""
+        """Write the values of a batch, or one value for all rollouts, to the kernel's memory."""
         lanes = self.code.lanes
         for leaf, given in zip(leaves, jax.tree.leaves(keys_to_words(tree)), strict=True):
             values, whole = np.asarray(given), _view(self.memory, leaf, lanes)
@@ -168,11 +169,11 @@ class Tiles:
                 whole[full, :, :rest], whole[full, :, rest:] = rows[-rest:].T, rows[-1][:, None]
 
     def replace(self, select: Callable[[Any], Any], tree: Any) -> None:
-        """Replace the values that `select` picks from the carry by those of `tree`."""
+        """Replace the values that `select` picks from the carried state by those of `tree`."""
         self.write([self.code.carry_leaves[place] for place in jax.tree.leaves(select(self._places))], tree)
 
     def advance(self, first: int, ticks: int, slots: np.ndarray | None = None) -> dict[str, np.ndarray] | None:
-        """Run control ticks.
+        """Run control ticks on all rollouts of the batch.
 
         Args:
             first: number of the first tick.
@@ -205,12 +206,12 @@ class Tiles:
         return {name: np.stack([of[k // lanes][:, k % lanes] for k in slots], axis=1) for name, of in rows.items()}
 
     def read_all(self) -> Any:
-        """The carry, (width, ...) for each leaf."""
+        """Return the carried state of all rollouts, (width, ...) for each leaf."""
         rows = self.read(lambda carry: carry)
         return jax.tree.map(lambda x, key: jax.random.wrap_key_data(x) if key else x, rows, self.code.random_key_tree)
 
     def read(self, select: Callable[[Any], Any]) -> Any:
-        """The values that `select` picks from the carry, (width, ...) each."""
+        """Return the values that `select` picks from the carried state, (width, ...) each."""
 
         def rows(place: int) -> np.ndarray:
             leaf, lanes = self.code.carry_leaves[place], self.code.lanes

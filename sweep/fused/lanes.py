@@ -1,4 +1,5 @@
-"""Preparation of a GPU kernel: an order in which few values are alive, parts, and rows of the legs' numbers."""
+"""Preparation of a program for a GPU kernel: order of operations with few live values, parts, and rows of legs'
+values."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -29,7 +30,7 @@ LegRows = dict[MemoryPlace, tuple[int, int, int]]  # see `find_leg_rows`
 
 
 class KernelPart(NamedTuple):
-    """A part of a block: operations in order, then stores."""
+    """A part of a block in a GPU kernel: operations in order, then stores."""
 
     items: list[Any]
     stores: list[Store]
@@ -72,7 +73,7 @@ def _order_nodes(nodes: dict[int, Node]) -> Iterator[Node]:
 
 
 def find_leg_rows(top: Block, needed: set[int], group: int) -> tuple[LegRows, list[MemoryRegion]]:
-    """Find the numbers of inner memory that are always read and written as the six of the legs.
+    """Find values in inner memory that are always read and written together for all six legs.
 
     Args:
         top: outermost block.
@@ -270,13 +271,13 @@ def _is_for_legs(branch: Branch, needed: set[int]) -> bool:
 
 
 def iterate_nested_items(item: Any) -> Iterator[Any]:
-    """All items in a loop or branch."""
+    """Yield all items inside a loop or branch, nested ones included."""
     for block in [item.body] if isinstance(item, Loop) else item.blocks if isinstance(item, Branch) else ():
         yield from walk_block(block)
 
 
 def operands_of_part(part: KernelPart, needed: set[int]) -> Iterator[Node]:
-    """Operands of all items of a part, inner blocks included, without the indices of branches.
+    """Return the operands of all items of a part, including inner blocks, without the indices of branches.
 
     Args:
         part: the part.
@@ -300,7 +301,8 @@ def _places(node: Node, group: int) -> list[Any]:
 
 
 class ThreadPart:
-    """A part in which each thread has a rollout: one operation for all legs becomes one operation for each leg."""
+    """A part of a GPU kernel in which each thread has a rollout; operations for all legs become one operation per
+    leg."""
 
     def __init__(self, part: KernelPart, needed: set[int], group: int):
         self.group = group
@@ -337,7 +339,7 @@ class ThreadPart:
         return early
 
     def values_by_leg(self, node: Node) -> list[Node]:
-        """Nodes that take the place of a node: one for each leg, or a single one."""
+        """Return the nodes that replace a node in the part: one for each leg, or a single one."""
         if node.number not in self.made:
             if not node.leg:
                 return [node]

@@ -1,4 +1,4 @@
-"""GPU kernels: a batch goes through a fused kernel inside an XLA program, which owns memory and devices."""
+"""Calls of GPU kernels from XLA programs, which own memory and devices."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -21,7 +21,7 @@ XLA_OPTIONS = {"xla_gpu_graph_min_graph_size": 1 << 30}  # CUDA graphs do not he
 
 
 class PtxKernel(NamedTuple):
-    """A GPU kernel as PTX text, and the places of its arrays in the memory of a rollout."""
+    """A GPU kernel as PTX text, with the locations of its arrays in a rollout's memory."""
 
     text: str
     input_leaves: list[ArrayLayout]
@@ -91,7 +91,7 @@ def print_program(
     group: int = LEG_COUNT,
     small_batch: bool = False,
 ) -> tuple[TracedProgram, cuda.GpuPrinter]:
-    """Trace a tick function and print it as LLVM assembly for a GPU, see `compile_to_ptx`.
+    """Trace a tick function and print it as LLVM assembly for a GPU.
 
     Args:
         function: tick of one rollout.
@@ -162,7 +162,7 @@ def run_kernel(
 
 
 def call_kernel(code: PtxKernel, operands: Sequence[Array]) -> Sequence[Array]:
-    """Call the kernel from XLA. Returns the operands that it changes: the state, and the records if any."""
+    """Call a GPU kernel from XLA; return the operands that it changes, the state and any records."""
     changed = [2] if len(operands) == 3 else [2, 4]
     return driver.call_kernel(driver.start_ptx_translation(code.text), 32 * cuda.MAX_WARPS_PER_BLOCK, operands, changed)
 

@@ -37,7 +37,7 @@ REDUCTION_STARTS = {
 
 
 def row_bytes(dtype: str, lanes: int) -> int:
-    """Bytes of one number in all lanes."""
+    """Return the size in bytes of one number in all vector lanes."""
     return lanes * np.dtype(dtype).itemsize
 
 
@@ -67,7 +67,7 @@ class CpuPrinter(LlvmFunctionPrinter):
         self._order(top)
 
     def module_text(self, triple: str) -> str:
-        """The module as LLVM assembly for a CPU."""
+        """Return the program as LLVM assembly for a CPU."""
         head = "define void @run(ptr noalias %rollouts, ptr noalias %scratch, ptr noalias %record, i64 %stride, "
         declared = "\n".join(sorted(self.declared))
         start = f'target triple = "{triple}"\n{declared}\n{head}i64 %first, i64 %ticks) {{\nentry:\n'
@@ -167,17 +167,17 @@ class CpuPrinter(LlvmFunctionPrinter):
         self.start_block(f"{name}_x")
 
     def slot_offset(self, node: Node) -> int:
-        """Offset in scratch memory of a node's values for the legs, in bytes."""
+        """Return the offset (bytes) in scratch memory of a node's values for the legs."""
         return self.slots.by_node[node.number] * self.group * self.row
 
     # memory
 
     def number_bytes(self, dtype: str) -> int:
-        """Bytes of one number in all lanes."""
+        """Return the size in bytes of one number in all vector lanes."""
         return row_bytes(dtype, self.lanes)
 
     def region_pointer(self, region: MemoryRegion) -> tuple[str, int]:
-        """Pointer to a region's memory, and the region's offset in bytes."""
+        """Return the LLVM pointer to a region's memory, and the region's offset in bytes."""
         if region in self.places:
             return "%scratch", self.places[region]
         return "%rollouts", region.byte_offset
@@ -202,7 +202,7 @@ class CpuPrinter(LlvmFunctionPrinter):
             self._put(one, region.dtype, base, str(place + (store.index + k * store.leg_stride) * size))
 
     def leg_value(self, node: Node, k: int) -> str:
-        """One leg's value, from a node that stands for all legs."""
+        """Return the LLVM name of one leg's value, from a node that stands for all legs."""
         if node.op == "const":
             return self.literal(constant_value(node)[k])
         if node.op == "load":
@@ -221,7 +221,7 @@ class CpuPrinter(LlvmFunctionPrinter):
         self.lines.append(f"store {stored} {value}, ptr {at}, align {min(64, self.number_bytes(dtype))}")
 
     def load_number(self, dtype: str, base: str, offset: str, name: str | None = None) -> str:
-        """Load a number from memory, `offset` bytes from a pointer.
+        """Print the load of a number from memory, `offset` bytes from a pointer.
 
         Args:
             dtype: type of the number.
@@ -236,7 +236,7 @@ class CpuPrinter(LlvmFunctionPrinter):
         return self.emit(f"load {self.vector_type(dtype)}, ptr {at}, align {min(64, self.number_bytes(dtype))}", name)
 
     def gather_number(self, node: Node, place: str, offset: str) -> str:
-        """Load a number from a place of each rollout's own, plus `offset` bytes."""
+        """Print the load of a number from a different address for each rollout, plus `offset` bytes."""
         region = node.typed_extra(Address).region
         base, _ = self.region_pointer(region)
         size, wide = self.number_bytes(region.dtype), self.vector_type("int64")
@@ -261,7 +261,7 @@ class CpuPrinter(LlvmFunctionPrinter):
     # values
 
     def value_name(self, node: Node) -> str:
-        """Name of a node's value that is not a leg's."""
+        """Return the LLVM name of a node's value, for nodes that do not stand for all legs."""
         return self.literal(constant_value(node)) if node.op == "const" else self.names[node.number]
 
     def _work(self, node: Node, args: list[str], leg: "LegLoopValues | None" = None) -> str:
@@ -307,7 +307,7 @@ class CpuPrinter(LlvmFunctionPrinter):
 
 
 class LegLoopValues:
-    """Names of values inside a loop over the legs."""
+    """Names of LLVM values inside a loop over the legs."""
 
     def __init__(self, printer: CpuPrinter, count: str):
         self.printer, self.count = printer, count
@@ -315,13 +315,13 @@ class LegLoopValues:
         self.steps: dict[int, str] = {}
 
     def leg_offset(self, step: int, start: int) -> str:
-        """Offset of this leg's number, in bytes."""
+        """Return the offset (bytes) of the current leg's number."""
         if step not in self.steps:
             self.steps[step] = self.printer.emit(f"mul i64 {self.count}, {step}")
         return self.printer.emit(f"add i64 {self.steps[step]}, {start}")
 
     def value_name(self, node: Node) -> str:
-        """Name of this leg's value of a node, or of its value for all legs."""
+        """Return the LLVM name of a node's value for the current leg."""
         printer = self.printer
         if not node.leg:
             return printer.value_name(node)
@@ -354,7 +354,7 @@ class LegLoopValues:
 
 
 def target_machine() -> llvm.TargetMachine:
-    """This processor as a target of LLVM."""
+    """Return this processor as an LLVM target machine."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     features = llvm.get_host_cpu_features().flatten()
@@ -370,7 +370,8 @@ def compile_text(text: str, target: llvm.TargetMachine) -> bytes:
 
 
 def load_machine_code(code: bytes, target: llvm.TargetMachine) -> tuple[Any, int]:
-    """Load an object file into this process. Returns an object that keeps `run` alive, and its address."""
+    """Load an object file into this process; return an object that keeps its function `run` alive, and the function's
+    address."""
     jit = llvm.create_lljit_compiler(target, use_jit_link=True, suppress_errors=False)
     library = llvm.JITLibraryBuilder().add_object_img(code).export_symbol("run").add_current_process()
     kept = library.link(jit, "rollouts")

@@ -1,4 +1,5 @@
-"""Elementary functions in single precision from arithmetic, since vector units lack them. Double precision uses C's.
+"""Elementary functions in single precision from basic arithmetic, for vector units; double precision uses the C
+library.
 
 The coefficients are fits of the least relative error on Chebyshev points, good to 2e-8 or better. Results are within
 three units in the last place for angles up to some thousand radians.

@@ -1,11 +1,11 @@
-"""`eager.evaluate_constants`, but `eager` is imported only when it is called: wrong input is reported without it."""
+"""Lazy import of `eager.evaluate_constants`, so that wrong input is reported before slow imports."""
 
 from collections.abc import Callable
 from typing import Any
 
 
 def evaluate_plain_numbers(function: Callable[[], Any]) -> Any:
-    """Evaluate a function of plain numbers, see `eager.evaluate_constants`."""
+    """Evaluate a JAX function of plain numbers with NumPy, without compiling it."""
     from sweep.fused import eager
 
     return eager.evaluate_constants(function)

@@ -24,7 +24,7 @@ REDUCTIONS = {"reduce_sum": "add", "reduce_max": "max", "reduce_min": "min", "re
 
 
 def fold_constants(name: str, dtype: str, values: Sequence[Any]) -> Any:
-    """Result of an operation on constants.
+    """Return the result of an operation whose operands are constants.
 
     Args:
         name: operation, by JAX's name.
@@ -50,7 +50,8 @@ def fold_constants(name: str, dtype: str, values: Sequence[Any]) -> Any:
 
 
 def simplify(name: str, args: Sequence[Node]) -> Node | None:
-    """Operand that an operation's result obviously equals, or None. Equal to the bit, but for the sign of zero.
+    """Return the operand that an operation's result equals bit for bit (except the sign of zero); None if there is
+    none.
 
     Args:
         name: operation, by JAX's name.

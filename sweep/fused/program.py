@@ -1,4 +1,4 @@
-"""Representation of the program: operations on single numbers of a rollout, a graph without repetition, in blocks.
+"""The fused compiler's program representation: a graph of operations on single numbers of a rollout, in nested blocks.
 
 A program has a group, such as a robot's six legs. One node stands for the numbers that the same operation gives for all
 of them, and `part` takes one leg's; that holds for inputs and tables, too. An operation stands in the outermost block
@@ -14,13 +14,13 @@ import numpy as np
 
 
 class ConstantBits(NamedTuple):
-    """Extra of `const`: the bytes of its value."""
+    """Extra data of a `const` node: the bytes of its value."""
 
     value_bytes: tuple[bytes, ...]  # one, or one for each leg; bytes distinguish -0 from 0 and NaNs from each other
 
 
 class Address(NamedTuple):
-    """Extra of `load` and `gather`: place of a number in memory, or of the numbers of all legs."""
+    """Extra data of `load` and `gather` nodes: location in memory of a number, or of the numbers of all legs."""
 
     region: "MemoryRegion"
     first_index: int  # index of the (first leg's) number; `gather` adds its operand
@@ -28,30 +28,30 @@ class Address(NamedTuple):
     leg_stride: int  # from leg to leg; 0 for a number that is not a leg's
 
     def leg_addresses(self, group: int) -> list["Address"]:
-        """Address of each leg's number."""
+        """Return the address of each leg's number."""
         return [Address(self.region, self.first_index + k * self.leg_stride, self.depth, 0) for k in range(group)]
 
 
 class LoopCount(NamedTuple):
-    """Extra of `count` and `tick`: the loop whose iterations are counted."""
+    """Extra data of `count` and `tick` nodes: the loop whose iterations are counted."""
 
     depth: int
 
 
 class LegIndex(NamedTuple):
-    """Extra of `part`: the leg whose number is taken."""
+    """Extra data of `part` nodes: the leg whose number is taken."""
 
     leg: int
 
 
 class LegReduction(NamedTuple):
-    """Extra of `over_legs`: the operation that combines the legs' numbers."""
+    """Extra data of `over_legs` nodes: the operation that combines the legs' numbers."""
 
     op: str  # add, mul, max, min, and, or
 
 
 class StoredNode(NamedTuple):
-    """Extra of `handed_on`: a node that another part of a GPU kernel has computed and put into memory."""
+    """Extra data of `handed_on` nodes: a node that another part of a GPU kernel has computed and stored."""
 
     node_number: int  # number of the node
     leg: int
@@ -61,7 +61,7 @@ type Extra = ConstantBits | Address | LoopCount | LegIndex | LegReduction | Stor
 
 
 class Node:
-    """An operation that gives a number, or one for each leg.
+    """An operation of the program, whose result is one number, or one for each leg.
 
     `extra` holds parameters of the operation that are not operands; its class depends on the operation.
     """
@@ -75,14 +75,14 @@ class Node:
         self.block = block
 
     def typed_extra[T](self, kind: type[T]) -> T:
-        """`extra`, checked to be of the class `kind`."""
+        """Return the node's extra data, checked to be of the class `kind`."""
         assert isinstance(self.extra, kind), f"{self.op} has {self.extra}"
         return self.extra
 
 
 @dataclass(eq=False)
 class MemoryRegion:
-    """A piece of memory, each number of which is a row of lanes: an input, a loop's carry, or a result."""
+    """A piece of memory with a row of lanes for each number: an input, a loop's carry, or a result."""
 
     size: int
     dtype: str
@@ -109,7 +109,7 @@ class Store:
 
 @dataclass(eq=False)
 class Block:
-    """Nodes, loops and branches in order, then stores."""
+    """A block of the program: nodes, loops and branches in order, then stores."""
 
     depth: int
     items: list[Any] = field(default_factory=list)
@@ -123,7 +123,7 @@ class Block:
 
 @dataclass(eq=False)
 class Loop:
-    """A block that runs `length` times; None: as often as the caller asks, or with `more` as long as that holds."""
+    """A block that runs `length` times; with length None as often as the caller asks, or while `more` holds."""
 
     length: int | None
     body: Block
@@ -132,14 +132,14 @@ class Loop:
 
 @dataclass(eq=False)
 class Branch:
-    """Blocks of which `index`, the same for all rollouts, chooses one."""
+    """Several blocks, of which `index` (equal for all rollouts) selects the one that runs."""
 
     index: Node
     blocks: list[Block]
 
 
 def walk_block(block: Block) -> Iterator[Any]:
-    """Yield all items of a block, those of inner blocks included."""
+    """Yield all items of a block, including those of inner blocks."""
     for item in [*block.items, *block.stores]:
         yield item
         for inner in [item.body] if isinstance(item, Loop) else item.blocks if isinstance(item, Branch) else ():
@@ -147,7 +147,7 @@ def walk_block(block: Block) -> Iterator[Any]:
 
 
 class Program:
-    """A program that is being written: the nested blocks from the outermost to the current one."""
+    """A program under construction: the nested blocks from the outermost to the current one."""
 
     def __init__(self, group: int) -> None:
         if group < 2:
@@ -162,7 +162,7 @@ class Program:
         return self.blocks[0]
 
     def node(self, op: str, args: Sequence[Node], dtype: str, extra: Extra = None, leg: bool | None = None) -> Node:
-        """Node of an operation; an equal one is reused.
+        """Return the node of an operation; an existing equal node is reused.
 
         Args:
             op: operation, by JAX's name.
@@ -193,7 +193,7 @@ class Program:
         return made
 
     def const(self, value: Any, dtype: str) -> Node:
-        """Constant: a number, or a tuple with one for each leg."""
+        """Return the node of a constant: one number, or a tuple with one for each leg."""
         if isinstance(value, tuple):
             if len({_bits(v, dtype) for v in value}) == 1:
                 value = value[0]
@@ -212,7 +212,7 @@ class Program:
 
     @contextmanager
     def branch(self, hoists: bool = False) -> Iterator[Block]:
-        """Context in which the current block is one that may not run."""
+        """Context in which the current block is a block that may not run."""
         block = Block(len(self.blocks), is_conditional=True, allows_hoisting=hoists)
         self.blocks.append(block)
         yield block
@@ -224,7 +224,7 @@ class Program:
 
 
 def is_uniform(node: Node) -> bool:
-    """Whether a number is the same for all rollouts, because it follows from constants and loop counters alone."""
+    """Return whether a number is the same for all rollouts because it only depends on constants and loop counters."""
     if node.op in ("gather", "pack", "part", "over_legs"):
         return False
     return node.op in ("const", "count", "tick") or (bool(node.args) and all(is_uniform(x) for x in node.args))
@@ -235,6 +235,6 @@ def _bits(value: Any, dtype: str) -> bytes:
 
 
 def constant_value(node: Node) -> Any:
-    """Value of a constant: a number, or an array with one for each leg."""
+    """Return the value of a constant node: a number, or an array with one for each leg."""
     found = np.frombuffer(b"".join(node.typed_extra(ConstantBits).value_bytes), node.dtype)
     return found if node.leg else found[0]

@@ -18,7 +18,7 @@ KEY_PARITY = 0x1BD11BDA
 
 
 def keys_to_words(tree: Any) -> Any:
-    """Replace random keys in a tree of arrays or shapes by arrays of their words (..., 2)."""
+    """Replace random keys in a tree of arrays or shapes by arrays of their 32-bit words (..., 2)."""
 
     def one(x: Any) -> Any:
         if not is_key(x):
@@ -29,7 +29,7 @@ def keys_to_words(tree: Any) -> Any:
 
 
 def rewrap_if_key(x: Any, original: Any) -> Any:
-    """Turn words into a random key if `original` is one."""
+    """Wrap words as a random key if `original` is one; else return them unchanged."""
     return jax.random.wrap_key_data(x) if is_key(original) else x
 
 
@@ -41,7 +41,7 @@ def is_key(x: Any) -> bool:
 def threefry_words(
     key: UInt32[Array, " 2"], first: UInt32[Array, "..."], second: UInt32[Array, "..."]
 ) -> tuple[Array, Array]:
-    """Two random words for every counter of two words.
+    """Return two random words for every counter of two words, by Threefry-2x32.
 
     Args:
         key: words of the key.
@@ -63,7 +63,7 @@ def _counted(key: Array, count: int) -> tuple[Array, Array]:
 
 
 def fold_in(key: Array, number: Array) -> Array:
-    """Words of a key for a number, as `jax.random.fold_in`."""
+    """Return the words of a key with a number folded in, as `jax.random.fold_in`."""
     return jnp.stack(threefry_words(key, jnp.uint32(0), number.astype(jnp.uint32)))
 
 
@@ -80,7 +80,7 @@ def random_long_bits(key: Array, shape: tuple[int, ...]) -> Array:
 
 
 def split_key(key: Array, shape: tuple[int, ...]) -> Array:
-    """Words of an array of new keys (*shape, 2), as `jax.random.split`."""
+    """Return the words (*shape, 2) of new keys split from a key, as `jax.random.split`."""
     return jnp.stack(_counted(key, int(np.prod(shape))), axis=-1).reshape((*shape, 2))
 
 
@@ -99,7 +99,7 @@ EXPANSIONS: dict[str, Callable[..., Array]] = {
 
 
 def random_primitive_rules() -> dict[str, Callable]:
-    """The interpreter's rules for primitives on scalar keys."""
+    """Return the interpreter's rules for random primitives on scalar keys."""
 
     def written(function: Callable) -> Callable:
         def rule(self: Any, keys: np.ndarray, *args: np.ndarray, out: Any, **params: Any) -> np.ndarray:

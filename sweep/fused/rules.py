@@ -1,4 +1,4 @@
-"""Rules for JAX's primitives, apart from elementwise operations.
+"""Rules by which the fused compiler translates JAX's primitives, except elementwise operations.
 
 A rule is a function of the program's arrays, the operands and the primitive's parameters.
 """
@@ -178,7 +178,7 @@ def _platform_index(self: ArrayBuilder, out: Any, platforms: tuple) -> Array:
 
 
 def out_of_bounds_value(dtype: np.dtype) -> Any:
-    """JAX's default value for elements outside of an array."""
+    """Return JAX's default value for elements gathered from outside an array."""
     if dtype.kind == "f":
         return np.nan
     return True if dtype.kind == "b" else np.iinfo(dtype).min

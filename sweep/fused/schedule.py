@@ -1,4 +1,4 @@
-"""Schedule of a CPU kernel: operations of a block in alternating turns, plain ones and those of all legs.
+"""Order of operations in a CPU kernel: groups of plain operations alternate with loops over the legs.
 
 Even turns are plain, odd turns are loops over the legs. A leg's value that another turn needs is stored in a slot of
 scratch memory.
@@ -17,7 +17,7 @@ RECOMPUTED_OPERATIONS = frozenset(("const", "load"))  # operations that are repe
 
 @dataclass(eq=False)
 class OperationGroup:
-    """Consecutive operations of one turn: plain ones, or (`legs`) the body of a loop over the legs."""
+    """Consecutive operations of one kind in a schedule: plain ones, or (`legs`) the body of a loop over the legs."""
 
     is_leg_loop: bool
     nodes: list[Node] = field(default_factory=list)
@@ -25,7 +25,7 @@ class OperationGroup:
 
 @dataclass(eq=False)
 class BlockSchedule:
-    """Schedule of a block: turns, stores, loops and branches, with schedules of inner blocks."""
+    """Schedule of a block: groups of operations, stores, loops and branches, with schedules of inner blocks."""
 
     block: Block
     steps: list[Any] = field(default_factory=list)
@@ -36,7 +36,7 @@ class BlockSchedule:
 
 @dataclass(eq=False)
 class ScratchSlots:
-    """Slots of scratch memory for values of the legs.
+    """Allocator of slots in scratch memory for values of the legs.
 
     There are `count` slots, each of six rows of lanes of `size` bytes; `by_node` has a node's slot by its number.
     """
@@ -47,7 +47,7 @@ class ScratchSlots:
     size: int = 4
 
     def allocate(self) -> int:
-        """Number of a free slot, or of a new one."""
+        """Return the number of a free slot, or of a new one."""
         if self.free_slots:
             return self.free_slots.pop()
         self.count += 1
@@ -55,7 +55,7 @@ class ScratchSlots:
 
 
 def schedule_block(block: Block, needed: set[int]) -> BlockSchedule:
-    """Schedule a block.
+    """Order the operations of a block into groups.
 
     Args:
         block: the block.
@@ -99,7 +99,7 @@ def _turns(nodes: list[Node]) -> Iterator[OperationGroup]:
 
 
 def used_node_numbers(block: Block) -> set[int]:
-    """Numbers of the nodes that results and inner blocks need."""
+    """Return the numbers of the nodes of a block that its results and inner blocks need."""
     needed: set[int] = set()
     pending = list(_roots(block))
     while pending:
@@ -123,7 +123,7 @@ def _roots(block: Block) -> Iterator[Node]:
 
 
 def assign_scratch_slots(top: BlockSchedule) -> ScratchSlots:
-    """Assign slots to the values of legs that are used outside of their turn."""
+    """Assign scratch slots to values of the legs that are used outside their group of operations."""
     found = ScratchSlots()
     _assign_slots(top, found)
     return found
@@ -163,7 +163,7 @@ def _reads_from_memory(step: Any, inner: list[BlockSchedule]) -> Iterator[int]:
 
 
 def used_regions(order: BlockSchedule) -> set[MemoryRegion]:
-    """All memory regions that a schedule loads from or stores to."""
+    """Return all memory regions that a schedule loads from or stores to."""
     found: set[MemoryRegion] = set()
     for at, step in enumerate(order.steps):
         if isinstance(step, OperationGroup):

@@ -1,4 +1,4 @@
-"""Printer of LLVM assembly: names, constants and arithmetic, on vectors of rollouts or on single numbers.
+"""Printing of LLVM assembly: names, constants and arithmetic, on vectors of rollouts or single numbers.
 
 No operation is reordered or made less accurate; only a product and the sum that takes it may be rounded together (FMA).
 """
@@ -27,7 +27,7 @@ INTRINSICS = {"sqrt": "sqrt", "floor": "floor", "ceil": "ceil", "round": "rounde
 
 
 class LlvmFunctionPrinter:
-    """A function that is being printed, on vectors of `lanes` numbers; 1 means single numbers."""
+    """Prints an LLVM function line by line, on vectors of `lanes` numbers or (1) single numbers."""
 
     def __init__(self, lanes: int):
         self.lanes = lanes
@@ -46,7 +46,7 @@ class LlvmFunctionPrinter:
         return f"%v{self._fresh}"
 
     def emit(self, text: str, name: str | None = None) -> str:
-        """Print a line that gives a value its name, and return the name.
+        """Print a line that defines a value, and return the value's name.
 
         Args:
             text: the instruction.
@@ -62,7 +62,7 @@ class LlvmFunctionPrinter:
         self.label = label
 
     def print_switch(self, kind: str, index: str, name: str, count: int) -> None:
-        """Jump to the block `name`_k of an index k, clamped to 0 .. count - 1.
+        """Print a jump to the block `name`_k for an index k, clamped to 0 .. count - 1.
 
         Args:
             kind: type of the index.
@@ -77,20 +77,20 @@ class LlvmFunctionPrinter:
         self.lines.append(f"switch {kind} {index}, label %{name}_{count - 1} [{cases}]")
 
     def vector_type(self, dtype: str) -> str:
-        """LLVM's type of a number in all lanes."""
+        """Return LLVM's type for a number in all lanes."""
         return LLVM_TYPES[dtype] if self.lanes == 1 else f"<{self.lanes} x {LLVM_TYPES[dtype]}>"
 
     def type_suffix(self, dtype: str) -> str:
-        """Suffix of LLVM's intrinsics for a type."""
+        """Return the suffix of LLVM intrinsics for a type."""
         kind = {"float": "f32", "double": "f64"}.get(LLVM_TYPES[dtype], LLVM_TYPES[dtype])
         return kind if self.lanes == 1 else f"v{self.lanes}{kind}"
 
     def splat(self, kind: str, value: Any) -> str:
-        """Constant with one value in all lanes, of LLVM's type `kind`."""
+        """Return the LLVM constant of type `kind` with one value in all lanes."""
         return str(value) if self.lanes == 1 else "<" + ", ".join([f"{kind} {value}"] * self.lanes) + ">"
 
     def literal(self, value: Any) -> str:
-        """Constant with one value in all lanes."""
+        """Return the LLVM constant with one value in all lanes."""
         value = np.asarray(value)
         kind = LLVM_TYPES[value.dtype.name]
         if value.dtype == bool:
@@ -100,7 +100,7 @@ class LlvmFunctionPrinter:
         return self.splat(kind, int(value))
 
     def call_intrinsic(self, name: str, dtype: str, args: Sequence[str], extra: str = "") -> str:
-        """Call an LLVM intrinsic.
+        """Print the call of an LLVM intrinsic.
 
         Args:
             name: the intrinsic.
@@ -113,7 +113,7 @@ class LlvmFunctionPrinter:
         return self.emit(f"call {vector} {function}({', '.join(f'{vector} {x}' for x in args)}{extra})")
 
     def arithmetic(self, op: str, dtype: str, args: list[str], kinds: Sequence[str]) -> str:
-        """Print an operation on vectors.
+        """Print an arithmetic operation on vectors.
 
         Args:
             op: operation, by JAX's name.

@@ -17,7 +17,7 @@ LEG_COUNT = 6  # the robot's legs
 
 
 class ArrayLayout(NamedTuple):
-    """Where an array lies in a rollout's memory: the offset of its first element; the others follow in order."""
+    """Location of an array in a rollout's memory: the offset of its first element; the others follow in order."""
 
     offset: int
     shape: tuple[int, ...]
@@ -30,7 +30,7 @@ class ArrayLayout(NamedTuple):
 
 
 class TracedProgram(NamedTuple):
-    """A traced program with the layout of its arrays."""
+    """A tick function as a traced program, with the memory layout of its arrays."""
 
     top_block: Block
     input_leaves: list[ArrayLayout]  # inputs, which do not change

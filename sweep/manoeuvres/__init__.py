@@ -1,4 +1,4 @@
-"""Manoeuvres: parameter classes that turn a belief into a plan, by their kind in the configuration."""
+"""Manoeuvres of the hexapod: parameter classes that turn a belief into a plan, by their kind in the configuration."""
 
 from sweep.manoeuvres.afloat.raft_cross import RaftCross
 from sweep.manoeuvres.afloat.raft_stand import RaftStand

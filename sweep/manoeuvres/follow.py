@@ -52,7 +52,7 @@ class Follow(PlannedForces):
     default_plan_name = ""
 
     def plan(self, belief: Case) -> Plan:
-        """Return the plan: stand, the moves, halt.
+        """Return the plan: stand, make the moves of the plan file, halt.
 
         Raises:
             InputError: the file lacks something, or a foot is out of reach.
@@ -66,7 +66,7 @@ class Follow(PlannedForces):
         return self.with_feedforward(belief, plan) if self.forces == "planned" else plan
 
     def plan_without_forces(self, belief: Case) -> Plan:
-        """Return the plan without its forces."""
+        """Return the plan before planned foot forces are added."""
         context, stages = self.move_context(belief), []
         feet, position, standing = initial_stance(START, context)
         for part in plan_content(belief):
@@ -86,7 +86,7 @@ class Follow(PlannedForces):
         return apply_direction(belief, plan)
 
     def move_context(self, belief: Case) -> MoveContext:
-        """Return the charts and directions that moves of the plan file refer to."""
+        """Return the charts and directions to which moves in the plan file refer."""
         unit, obstacle = length_unit(belief.robot), belief.obstacle
         supports = {"free": SupportMotion(), "rests": RESTS, "stays": STAYS, "together": SupportMotion(TOGETHER)}
         bodies = len(obstacle.free_bodies)

@@ -1,4 +1,4 @@
-"""Accumulation of all metrics of a rollout: once a control tick, from the same report for both engines."""
+"""Accumulation of all metrics of a rollout, updated once per control tick from the reports of both engines."""
 
 from typing import Any, NamedTuple
 
@@ -18,7 +18,8 @@ OVERTURNED_TILT_DEG = 60.0  # deg of tilt: nothing after it tells anything of th
 
 
 class RunningMetrics(NamedTuple):
-    """States of all metrics of a rollout, and the times of its c causes that are known in a tick; engines carry it."""
+    """States of all metrics of a rollout, and the times at which causes were first met; engines carry it from tick to
+    tick."""
 
     time: Float[Array, ""]  # s
     time_since_plan_end: Float[Array, ""]  # s, since the plan has ended
@@ -29,21 +30,21 @@ class RunningMetrics(NamedTuple):
 
 
 def tick_causes(world: Case) -> tuple[Cause, ...]:
-    """Causes that are known in the tick that crosses their threshold, whose time is recorded."""
+    """Return the causes that can be judged in every tick, so that the time of their first occurrence is recorded."""
     return tuple(
         cause for metric in metrics.applicable_metrics(world) for cause in metric.causes if cause.known_at == "tick"
     )
 
 
 def tick_metrics(world: Case) -> tuple[str, ...]:
-    """Names of the metrics of `tick_causes` and of their companions, which are computed in every tick."""
+    """Return the names of the metrics that are computed in every tick because a cause is judged by them."""
     causes = tick_causes(world)
     there = {name for metric in metrics.applicable_metrics(world) for name in metric.columns}
     return (*(c.metric for c in causes), *(c.companion_metric for c in causes if c.companion_metric in there))
 
 
 def begin(start: RolloutStart) -> RunningMetrics:
-    """Initial states of all metrics that apply to the world."""
+    """Return the initial states of all metrics that apply to the world."""
     dtype, n = start.plan.duration.dtype, len(tick_causes(start.world))
     return RunningMetrics(
         time=jnp.zeros((), dtype),
@@ -56,7 +57,7 @@ def begin(start: RolloutStart) -> RunningMetrics:
 
 
 def with_start_energy(world: Case, running: RunningMetrics, energy: Array) -> RunningMetrics:
-    """Set the mechanical energy at the start, against which growth of energy is measured.
+    """Return the metric states with the mechanical energy at the start, from which growth of energy is measured.
 
     Args:
         world: The world.

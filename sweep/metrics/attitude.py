@@ -12,7 +12,7 @@ from sweep.metrics.tick import MetricTick, RolloutEnd, RolloutStart, goal_cause
 
 
 class AttitudeErrors(NamedTuple):
-    """Largest tilt and turn about the commanded vertical so far (deg), and the base's last orientation.
+    """State of the attitude metrics: largest tilt and yaw errors so far (deg), and the base's last orientation.
 
     The order is that of the kernels' text: another one makes `ptxas` spill other numbers.
     """
@@ -23,13 +23,13 @@ class AttitudeErrors(NamedTuple):
 
 
 def begin(start: RolloutStart) -> AttitudeErrors:
-    """Initial state, before the first tick."""
+    """Return the state before the first tick: no attitude error yet."""
     tilt = attitude.METRIC.begin(start)
     return AttitudeErrors(tilt.largest_tilt, start.constant_state(0.0), tilt.quat)
 
 
 def update(state: AttitudeErrors, ctx: MetricTick) -> AttitudeErrors:
-    """Update the largest tilt from the commanded vertical, and the largest turn about it."""
+    """Update the largest tilt from the commanded vertical (deg), and the largest rotation about it (deg)."""
     w, _, _, z = ctx.attitude_error
     heading = jnp.degrees(jnp.abs(2 * jnp.arctan2(z * jnp.sign(w), jnp.abs(w))))
     tilt = attitude.METRIC.update(Tilt(state.tilt, state.quat), ctx)
@@ -37,7 +37,7 @@ def update(state: AttitudeErrors, ctx: MetricTick) -> AttitudeErrors:
 
 
 def compute(state: AttitudeErrors, rollout: RolloutEnd) -> dict[str, Array]:
-    """Largest attitude errors, and the final tilt."""
+    """Return the largest attitude errors and the final tilt (deg), by column."""
     tilt = attitude.METRIC.compute(Tilt(state.tilt, state.quat), rollout)
     return {**tilt, "heading_error_max_deg": state.heading}
 

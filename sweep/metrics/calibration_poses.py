@@ -1,4 +1,4 @@
-"""Metrics of the poses of a simulated calibration; see `sweep.engines.calibration_rollout`."""
+"""Metrics of the poses in a simulated calibration."""
 
 from sweep.core.metric import Cause, Metric
 

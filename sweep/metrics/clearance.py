@@ -14,7 +14,7 @@ from sweep.models.solids import distance_to_box
 
 
 def distances(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
-    """Distances (m) of this tick, in the order of the columns.
+    """Return the distances (m) in this tick: base and links to the obstacle, legs to each other and to the base.
 
     Links are `link_capsules`. Towards base and thigh they begin with a round end beyond the joint.
     """

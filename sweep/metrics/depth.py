@@ -11,7 +11,7 @@ from sweep.models.obstacles.surface import surface_at
 
 
 def largest_penetration(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
-    """Largest depth (m) of a simulated foot inside the obstacle in this tick."""
+    """Return the largest penetration depth (m) of a foot into the obstacle in this tick."""
     yield jnp.max(surface_at(ctx.world.obstacle, ctx.report.joints[:, -1], ctx.report.bodies).depth)
 
 

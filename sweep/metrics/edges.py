@@ -12,7 +12,7 @@ from sweep.models.obstacles.plane import Plane
 
 
 def least_edge_distance(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
-    """Least distance of a foot that carries load to an edge of its face (m)."""
+    """Return the least distance (m) of a loaded foot from the edges of the face on which it stands."""
     tick = ctx.report
     left = edge_distance(ctx.world.obstacle, tick.joints[:, -1], tick.bodies)
     yield jnp.min(left, where=tick.actual.loaded, initial=EDGE_SEARCH_RADIUS_M)

@@ -14,7 +14,8 @@ FINAL_INTERVAL_S = 12.0  # s of the plan, its last, over which the speed of a bo
 
 
 class BodiesMotion(NamedTuple):
-    """Positions of the free bodies (m): at the start, when the first stage ended, and in the last ticks.
+    """State of the motion metrics: positions of the free bodies (m) at the start, when the first stage ended, and in
+    the last ticks.
 
     How far they went since both, and turned since the latter (rad); where they were when the plan ended, and since
     when that is (s); the least height.
@@ -34,7 +35,7 @@ class BodiesMotion(NamedTuple):
 
 
 def begin(start: RolloutStart) -> BodiesMotion:
-    """Initial state, before any motion."""
+    """Return the state before any motion of the free bodies."""
     place = start.free.position
     zero = jnp.zeros((), place.dtype)
     here, far = FinalInterval(place, zero), jnp.full((), jnp.inf, place.dtype)
@@ -42,7 +43,7 @@ def begin(start: RolloutStart) -> BodiesMotion:
 
 
 def update(state: BodiesMotion, ctx: MetricTick) -> BodiesMotion:
-    """Update the displacements from the start."""
+    """Update the displacements of the free bodies from their start."""
     place, quat = ctx.report.actual.free.position, ctx.report.actual.free.quat
     way = place - state.start
     settled = jnp.where(ctx.stage == 0, place, state.first_stage_end)

@@ -1,4 +1,5 @@
-"""Remaining patience of a stage when its swinging feet have landed, and the height of feet that have not."""
+"""How much of its patience (waiting time) a stage has left when its swinging feet have landed, and the height of late
+feet."""
 
 from typing import NamedTuple
 
@@ -13,7 +14,8 @@ from sweep.models.obstacles.surface import surface_at
 
 
 class LandingPatience(NamedTuple):
-    """The last tick's stage, its start and remaining patience (s); the least patience of earlier stages."""
+    """State of the landing metrics: stage, start time and remaining waiting time (s) of the last tick; least of earlier
+    stages."""
 
     stage: Int[Array, ""]
     stage_start_time: Float[Array, ""]
@@ -22,7 +24,7 @@ class LandingPatience(NamedTuple):
 
 
 def update(state: LandingPatience, ctx: MetricTick) -> LandingPatience:
-    """When a stage begins, judge the one before it by its last tick; the plan's last stage is judged at its end."""
+    """Update the least remaining waiting time for late feet, judging a stage by its last tick."""
     plan, tick, new = ctx.plan, ctx.report, ctx.stage != state.stage
     began = jnp.where(new, ctx.time - ctx.period, state.stage_start_time)
     waited = jnp.maximum(ctx.time - began - plan.duration[ctx.stage], 0.0) / jnp.maximum(plan.patience, ctx.period)

@@ -16,7 +16,8 @@ ARRIVAL_GAP_M = 4e-3  # m, of a ball that has come to the far wall
 
 
 class LedgeCrossing(NamedTuple):
-    """Distances (m) of the mass centre past the ball's centre, and of the ball from the far wall; docking speed."""
+    """State of the ledge-crossing metrics: distances (m) of mass centre past ball and of ball from the far wall;
+    docking speed."""
 
     mass_centre_past_ball: Float[Array, ""]
     wall_gap: Float[Array, ""]
@@ -24,7 +25,7 @@ class LedgeCrossing(NamedTuple):
 
 
 def update(state: LedgeCrossing, ctx: MetricTick) -> LedgeCrossing:
-    """Update distances, and the docking speed when the ball first reaches the far wall."""
+    """Update the distances, and the docking speed when the ball first reaches the far wall."""
     ledges, tick = ctx.world.obstacle, ctx.report
     assert isinstance(ledges, Ledges)
     ball, speed = tick.actual.free.position[0], tick.actual.free.velocity[0, 0]
@@ -40,7 +41,7 @@ def update(state: LedgeCrossing, ctx: MetricTick) -> LedgeCrossing:
 
 
 def compute(state: LedgeCrossing, rollout: RolloutEnd) -> dict[str, Array]:
-    """Distance of the mass centre past the ball's centre, and docking gap and speed."""
+    """Return the distance of the mass centre past the ball's centre, and docking gap and speed, by column."""
     return {
         "past_centre_max_m": state.mass_centre_past_ball,
         "docking_gap_m": state.wall_gap,

@@ -27,7 +27,8 @@ BOOKKEEPING_COLUMNS = {
 
 
 class OutcomeThresholds:
-    """When a rollout counts as failed, or as not to be trusted; null is what the manoeuvre's goal says."""
+    """Thresholds at which a rollout counts as failed or invalid; null stands for the threshold in the manoeuvre's
+    goal."""
 
     meanings: ClassVar = {cause.threshold: f"{cause.name}: {cause.sentence}" for cause in CAUSES if cause.threshold}
 
@@ -45,7 +46,7 @@ parameters(OutcomeThresholds)
 
 
 def resolve_thresholds(values: Mapping[str, float | None], case: Case) -> OutcomeThresholds:
-    """Resolve the thresholds of a kind of world; null values become those of the manoeuvre's goal.
+    """Return the thresholds for a kind of world, with null values replaced by those of the manoeuvre's goal.
 
     Args:
         values: Values by key of `outcome`.
@@ -68,7 +69,7 @@ def resolve_thresholds(values: Mapping[str, float | None], case: Case) -> Outcom
 
 
 def cause_meanings(limits: OutcomeThresholds) -> dict[str, str]:
-    """Say what each cause of failure or invalidity means, with the value of its threshold.
+    """Return a sentence on each cause of failure or invalidity, with the value of its threshold.
 
     Args:
         limits: thresholds of the study. A threshold that its manoeuvre does not have is named only.
@@ -82,7 +83,7 @@ def cause_meanings(limits: OutcomeThresholds) -> dict[str, str]:
 
 
 def sentence_with_limit(cause: Cause, limits: OutcomeThresholds) -> str:
-    """The sentence of a cause with the value and unit of its threshold, where it has one, in place of its key."""
+    """Return the sentence of a cause with value and unit of its threshold filled in."""
     if not cause.threshold or not np.isfinite(limit := threshold_value(cause, limits)):
         return cause.sentence
     unit = format_unit(column_unit(cause.threshold))
@@ -106,7 +107,7 @@ def threshold_value(cause: Cause, limits: OutcomeThresholds) -> float:
 def classify(
     figures: Mapping[str, np.ndarray], limits: OutcomeThresholds, stages: Sequence[str]
 ) -> dict[str, np.ndarray]:
-    """Label each row with its outcome; a pure function of the stored metrics.
+    """Label rows with their outcomes, from stored metrics and thresholds alone.
 
     The cause that occurred first decides. If several occur in the same tick, those that make a row invalid take
     precedence. Causes that are known only at the end come last. With thresholds other than those of the run a cause may
@@ -130,7 +131,7 @@ def classify(
 def least_margins(
     causes: Sequence[Cause], figures: Mapping[str, np.ndarray], limits: OutcomeThresholds
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find the failure whose threshold is nearest to each row.
+    """Find for each row the failure cause whose threshold is nearest, and the margin.
 
     Causes without a finite threshold do not count; a metric that is NaN is beyond its threshold.
 
@@ -147,7 +148,7 @@ def least_margins(
 
 
 def explain_cause(row: Mapping[str, Any], limits: OutcomeThresholds) -> str:
-    """Explain the cause of a row in words.
+    """Explain in words why a row failed or is invalid.
 
     Args:
         row: The row by column.

@@ -1,4 +1,4 @@
-"""Whether any foot forces within the believed friction and torque limit hold the planned stances."""
+"""Whether foot forces within the believed friction and torque limits can hold the planned stances."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -10,13 +10,13 @@ from sweep.metrics.tick import RolloutEnd
 
 
 def compute(state: None, rollout: RolloutEnd) -> dict[str, Array]:
-    """Largest unsupported weight over the plan's stages, and its stage."""
+    """Return the largest unsupported weight over the plan's stages, and the stage in which it occurs, by column."""
     left = unsupported_weight(rollout.plan)
     return {"imbalance_max": jnp.max(left), "infeasible_stage": jnp.argmax(left).astype(jnp.int32)}
 
 
 def unsupported_weight(plan: Plan) -> Float[Array, " s"]:
-    """Return the weight that the planned forces of each stage leave unsupported; empty without planned forces."""
+    """Return the weight that planned forces leave unsupported in each stage; empty without planned forces."""
     forces = plan.find_layer(ForceFeedforward)
     return jnp.zeros_like(plan.duration) if forces is None else forces.imbalance
 

@@ -21,7 +21,7 @@ from sweep.models.frames import WORLD_FRAME
 
 
 class PlanProgress(NamedTuple):
-    """Travel of the base, its largest position error (m), whether the plan has ended, and the use of its time.
+    """State of the progress metrics: travel of the base, largest position error (m), and how much of the plan has run.
 
     The use is the time that the plan took over all that it is given, or 1 and a share for what it still lacks.
     """
@@ -33,13 +33,13 @@ class PlanProgress(NamedTuple):
 
 
 def begin(start: RolloutStart) -> PlanProgress:
-    """Initial state, before the first tick."""
+    """Return the state before the first tick: no progress."""
     zero = jnp.zeros((), start.position.dtype)
     return PlanProgress(travel.METRIC.begin(start), zero, jnp.asarray(False), zero + 2)
 
 
 def update(state: PlanProgress, ctx: MetricTick) -> PlanProgress:
-    """Add the displacement along the planned direction."""
+    """Add this tick's displacement along the planned direction."""
     travelled = travel.METRIC.update(state.travel, ctx)
     given = MAX_DURATION_FACTOR * jnp.sum(ctx.plan.duration)
     ended = jnp.where(state.finished, state.plan_time_use, jnp.minimum(ctx.time / given, 1.0))
@@ -55,7 +55,7 @@ def update(state: PlanProgress, ctx: MetricTick) -> PlanProgress:
 
 
 def compute(state: PlanProgress, rollout: RolloutEnd) -> dict[str, Array]:
-    """Share of the path that is covered, and the mean speed."""
+    """Return the covered share of the path and the mean speed, by column."""
     length = path_length(rollout.plan)
     left = jnp.linalg.norm(state.travel.position - rollout.plan.position[-1])
     goes = (length > 1e-6) & (

@@ -14,7 +14,8 @@ from sweep.models.obstacles.raft import CORNER_SIGNS, Raft
 
 
 class RaftMotionExtremes(NamedTuple):
-    """Least freeboard and draught of the raft's corners (m), tilt (rad), motion, and where feet took hold."""
+    """State of the raft metrics: least freeboard and draught of the corners (m), tilt (rad), motion, touchdown points
+    on the deck."""
 
     least_freeboard: Float[Array, ""]
     least_draught: Float[Array, ""]
@@ -27,13 +28,13 @@ class RaftMotionExtremes(NamedTuple):
 
 
 def begin(start: RolloutStart) -> RaftMotionExtremes:
-    """Initial state; no foot is loaded yet."""
+    """Return the state before any foot is loaded."""
     far, zero = jnp.full((), jnp.inf, start.feet.dtype), jnp.zeros((), start.feet.dtype)
     return RaftMotionExtremes(far, far, zero, zero, zero, zero, BodyTouchdownPoints.before_first_load(start), zero)
 
 
 def update(state: RaftMotionExtremes, ctx: MetricTick) -> RaftMotionExtremes:
-    """Update extremes, and the slip of feet that took hold on the deck."""
+    """Update the extremes of the raft's motion, and the slip of feet on its deck."""
     raft, tick = ctx.world.obstacle, ctx.report
     assert isinstance(raft, Raft)
     free = tick.actual.free
@@ -60,7 +61,7 @@ def update(state: RaftMotionExtremes, ctx: MetricTick) -> RaftMotionExtremes:
 
 
 def compute(state: RaftMotionExtremes, rollout: RolloutEnd) -> dict[str, Array]:
-    """Extremes so far, and the raft's speed at departure, speed and heading at arrival."""
+    """Return extremes of the raft's motion, its speed at departure, and speed and heading at arrival, by column."""
     return {
         "freeboard_min_m": state.least_freeboard,
         "draught_min_m": state.least_draught,

@@ -10,7 +10,8 @@ from sweep.metrics.tick import MetricTick
 
 
 def reach_values(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
-    """Largest shortfall of a foot target, and the least length by which a leg could still stretch or fold (m)."""
+    """Return the largest shortfall of a foot target, and the least length by which a leg can still stretch or fold
+    (m)."""
     robot, leg = ctx.world.robot, ctx.report.joints
     stretch = jnp.linalg.norm(leg[:, -1] - leg[:, -3], axis=-1)
     left = jnp.minimum(robot.thigh + robot.shin - stretch, stretch - jnp.abs(robot.thigh - robot.shin))

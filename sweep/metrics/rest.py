@@ -1,4 +1,4 @@
-"""Rest of the robot after its plan: it is observed for `REST` seconds more, if the manoeuvre ends at rest."""
+"""Drift of the robot at rest after its plan, observed for `REST` seconds if the manoeuvre ends at rest."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,8 @@ from sweep.metrics.tick import REST_DURATION_S, MetricTick, RolloutStart
 
 
 class RestDrift(NamedTuple):
-    """Positions of hips, knees and feet at the end of the plan (m), and their largest displacement since."""
+    """State of the rest metrics: positions of hips, knees and feet at the plan's end (m), and largest displacement
+    since."""
 
     has_plan_ended: Bool[Array, ""]
     plan_end_positions: Float[Array, "6 k 3"]  # in the axes of the base as it is told to be
@@ -19,14 +20,14 @@ class RestDrift(NamedTuple):
 
 
 def begin(start: RolloutStart) -> RestDrift:
-    """Initial state, before the plan has ended."""
+    """Return the state before the plan has ended."""
     links = 3 if start.world.robot.legs == "two_link" else 4
     zero = jnp.zeros((), start.feet.dtype)
     return RestDrift(jnp.asarray(False), jnp.zeros((6, links, 3), zero.dtype), zero)
 
 
 def update(state: RestDrift, ctx: MetricTick) -> RestDrift:
-    """Update displacements relative to the base's reference: a robot at rest on a moving body is at rest."""
+    """Update the displacements relative to the base's reference; riding along on a moving body is no displacement."""
     here = (ctx.report.joints - ctx.target.position) @ matrix(ctx.target.quat)
     place = jnp.where(state.has_plan_ended, state.plan_end_positions, here)
     drift = jnp.where(ctx.finished, jnp.max(jnp.linalg.norm(here - place, axis=-1)), 0.0)

@@ -8,7 +8,7 @@ from sweep.models.obstacles.raft import Raft
 
 
 def slip_threshold(case: Case) -> float:
-    """Default threshold of slip (m) on an obstacle: half the distance after which a foot would lose its hold.
+    """Return the default slip threshold (m) on an obstacle: half the distance after which a foot would lose its hold.
 
     Rungs are 40 mm wide. On a ball plans have footholds at up to 37.8 degrees, and friction 1 holds up to 45 degrees,
     106 mm farther. Footholds keep 105 mm from the edges of raft and banks.

@@ -20,7 +20,8 @@ UNSETTLED_RESIDUAL = 0.1  # of the weight, a residual that counts for the share 
 
 
 class SolverValidity(NamedTuple):
-    """Whether all numbers were finite; residuals (N, s); energies and works (J), largest growth of energy."""
+    """State of the validity metrics: whether all numbers were finite, solver residuals (N, s), energies and works
+    (J)."""
 
     is_finite: Bool[Array, ""]
     largest_residual: Float[Array, ""]
@@ -33,13 +34,13 @@ class SolverValidity(NamedTuple):
 
 
 def begin(start: RolloutStart) -> SolverValidity:
-    """Initial state, before any violation."""
+    """Return the state before the first tick: no violation."""
     zero = jnp.zeros((), start.energy.dtype)
     return SolverValidity(jnp.asarray(True), zero, zero, start.energy, zero, zero, zero, zero)
 
 
 def update(state: SolverValidity, ctx: MetricTick) -> SolverValidity:
-    """Update residuals, and the growth of energy beyond the work of drives and pushes."""
+    """Update solver residuals, and the growth of energy beyond the work of drives and pushes."""
     tick, robot = ctx.report, ctx.world.robot
     weight = GRAVITY * total_mass(robot)
     work, effort = state.total_work + tick.work, state.drive_work + tick.positive_work
@@ -58,7 +59,7 @@ def update(state: SolverValidity, ctx: MetricTick) -> SolverValidity:
 
 
 def compute(state: SolverValidity, rollout: RolloutEnd) -> dict[str, Array]:
-    """Residuals over the weight, and growth of energy."""
+    """Return residuals over the weight, and the growth of energy, by column."""
     return {
         "finite": state.is_finite,
         "solver_residual_max_n": state.largest_residual,

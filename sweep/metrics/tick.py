@@ -1,4 +1,4 @@
-"""What the robot's engines report to metrics: the rollout before its first tick, each tick, and the rollout at its end.
+"""Input of the hexapod's metrics: the rollout before its first tick, each control tick, and the rollout at its end.
 
 All of them offer what every system offers (see `sweep.core.metric`), so that shared metrics need nothing else, and the
 robot's own report beside it.
@@ -55,7 +55,7 @@ class TickReport(NamedTuple):
 
 
 class RolloutStart(NamedTuple):
-    """A rollout before its first tick; engines make it, and metrics begin with it."""
+    """State of a rollout before its first tick, from which metrics begin; made by engines."""
 
     world: Case
     plan: Plan
@@ -89,7 +89,7 @@ class RolloutStart(NamedTuple):
 
 
 class MetricTick(NamedTuple):
-    """The context in which metrics are updated: the control tick that has just passed; engines make it."""
+    """The control tick that has just passed, with which metrics are updated; made by engines."""
 
     world: Case
     plan: Plan
@@ -107,7 +107,7 @@ class MetricTick(NamedTuple):
 
     @property
     def sample_period(self) -> float:
-        """Length of a control tick (s): one sample is at the end of each."""
+        """Length of a control tick (s), the time between samples."""
         return self.period
 
     @property
@@ -127,7 +127,7 @@ class MetricTick(NamedTuple):
 
     @property
     def attitude_error(self) -> Float[Array, " 4"]:
-        """Turn of the base from its reference, in the axes of the reference."""
+        """Rotation of the base from its reference, in the axes of the reference."""
         return multiply(conjugate(self.reference.quat), self.report.actual.quat)
 
     @property
@@ -151,7 +151,8 @@ class MetricTick(NamedTuple):
         return self.report.positive_work
 
     def motion_along_command(self, before: Float[Array, " 3"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """Return the distance (m) in this tick along the planned direction, and the tick's length (s); 0 at rest."""
+        """Return the base's displacement (m) along the planned direction in this tick, and the tick's length (s); 0 at
+        rest."""
         way = self.plan.position[self.stage] - self.stage_start
         length = jnp.linalg.norm(way)
         moving = (length > 1e-6) & ~self.finished
@@ -160,14 +161,14 @@ class MetricTick(NamedTuple):
 
 
 def remaining_plan_time(ctx: MetricTick) -> Float[Array, ""]:
-    """Remaining duration of the plan (s); stages may have ended before their time."""
+    """Return the remaining duration of the plan (s), given that stages may have ended early."""
     duration = ctx.plan.duration
     later = jnp.sum(jnp.where(jnp.arange(len(duration)) > ctx.stage, duration, 0.0))
     return later + (1 - ctx.phase) * duration[ctx.stage]
 
 
 class BodyTouchdownPoints(NamedTuple):
-    """Points where the feet touched down (m), in the axes of the body under each foot; that body; and which feet hold.
+    """Touchdown points of the feet (m) in the axes of the body under each foot, that body, and whether each foot holds.
 
     A foot that slides from one body to another without a swing keeps the point on the first one.
     """
@@ -178,12 +179,12 @@ class BodyTouchdownPoints(NamedTuple):
 
     @classmethod
     def before_first_load(cls, start: RolloutStart) -> "BodyTouchdownPoints":
-        """State of feet that have not been loaded yet."""
+        """Return the state of feet that have not been loaded yet."""
         body = jnp.full(6, -1, jnp.int32) if len(start.free.position) else None
         return cls(jnp.zeros_like(start.feet), body, jnp.zeros(6, bool))
 
     def update(self, ctx: MetricTick) -> tuple["BodyTouchdownPoints", Float[Array, " 6"]]:
-        """Update after a tick, and return the distance of each loaded foot from where it took hold (m).
+        """Return the state after a tick, and the distance of each loaded foot from its touchdown point (m).
 
         A foot takes hold at its actual position when it is first loaded: after the start, or in the second half of a
         swing. A standing foot that is unloaded for a moment keeps its point, so that chattering does not hide a slip.
@@ -203,13 +204,13 @@ class BodyTouchdownPoints(NamedTuple):
 
 
 class FinalInterval(NamedTuple):
-    """Positions (m) and time (s) at the start of the plan's final interval, for mean velocities since then."""
+    """Positions (m) and time (s) at the start of the plan's final interval, from which mean velocities are computed."""
 
     positions: Float[Array, "*k 3"]
     time: Float[Array, ""]
 
     def update(self, ctx: MetricTick, place: Float[Array, "*k 3"], length: float) -> "FinalInterval":
-        """Follow positions until the last `length` seconds of the plan begin.
+        """Replace positions and time until the last `length` seconds of the plan begin.
 
         Args:
             ctx: The tick.
@@ -220,7 +221,8 @@ class FinalInterval(NamedTuple):
         return FinalInterval(jnp.where(before, place, self.positions), jnp.where(before, ctx.time, self.time))
 
     def mean_velocity(self, place: Float[Array, "*k 3"], time: Array) -> Float[Array, "*k 3"]:
-        """Mean velocity (m/s) from the start of the last part to positions `place` (m) at `time` (s)."""
+        """Return the mean velocity (m/s) from the start of the final interval to positions `place` (m) at `time`
+        (s)."""
         return (place - self.positions) / jnp.maximum(time - self.time, 1e-9)
 
 
@@ -239,16 +241,16 @@ class RolloutEnd(NamedTuple):
         return GRAVITY * total_mass(self.world.robot)
 
     def integrate_sum(self, total: Array) -> Array:
-        """Return the sum as it is: the engines report integrals over a tick."""
+        """Return the sum unchanged, since the engines report integrals over each tick."""
         return total
 
     def displacement_along(self, displacement: Array) -> Array:
-        """Refuse: the planned direction changes from stage to stage."""
+        """Raise an error: the planned direction changes from stage to stage."""
         raise NotImplementedError
 
 
 def goal_cause(sentence: str, metric: str, **options: Any) -> Cause:
-    """Make a cause for a part of the goal, judged at the end, if the manoeuvre's goal has a threshold for it.
+    """Make a failure cause for a part of the manoeuvre's goal, judged at the end of the rollout.
 
     Args:
         sentence: What happened, for messages.

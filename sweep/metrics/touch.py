@@ -13,13 +13,13 @@ from sweep.models.obstacles.surface import Obstacle
 
 
 def touch_estimate(rollout: RolloutStart | MetricTick) -> TouchState:
-    """Return the estimated sizes of the obstacle, of a rollout that learns by touch."""
+    """Return the estimated sizes of the obstacle at the end of a rollout that learns by touch."""
     assert rollout.learned.touch is not None  # since it applies
     return rollout.learned.touch
 
 
 def compute(state: TouchState, rollout: RolloutEnd) -> dict[str, Array]:
-    """Estimated sizes of the obstacle and their standard deviations, by column."""
+    """Return the estimated sizes of the obstacle and their standard deviations, by column."""
     parts = ({f"learned_{n}_{u}": jnp.asarray(getattr(state.obstacle, n)),
               f"learned_{n}_sd_{u}": jnp.sqrt(state.covariance[k, k])}
              for k, (n, u) in enumerate(learned_size_units(rollout.world.obstacle).items()))  # fmt: skip
@@ -27,7 +27,7 @@ def compute(state: TouchState, rollout: RolloutEnd) -> dict[str, Array]:
 
 
 def learned_size_units(obstacle: Obstacle | type[Obstacle]) -> dict[str, str]:
-    """The sizes of an obstacle that can be learned, and their units."""
+    """Return the units of those sizes of an obstacle that can be learned by touch."""
     fields = {f.name: f for f in dataclasses.fields(obstacle)}  # pyright: ignore[reportArgumentType]
     return {name: fields[name].metadata["unit"] for name in learnable_sizes(obstacle)}
 

@@ -16,8 +16,8 @@ TOUCHING_GAP_M = 4e-3  # m, between balls that touch
 
 
 class BallMeeting(NamedTuple):
-    """Whether they met, and how fast (m/s); how far apart they were (m); the second one's place (m), now and
-    when the plan ended."""
+    """State of the two-ball metrics: whether and how fast (m/s) the balls met, their gaps (m), and places of the second
+    ball (m)."""
 
     have_met: Bool[Array, ""]
     meeting_speed: Float[Array, ""]
@@ -34,7 +34,7 @@ def begin(start: RolloutStart) -> BallMeeting:
 
 
 def update(state: BallMeeting, ctx: MetricTick) -> BallMeeting:
-    """Update gaps and speeds; the meeting is recorded once."""
+    """Update gaps and speeds of the balls, and record their first contact."""
     balls, free = ctx.world.obstacle, ctx.report.actual.free
     assert isinstance(balls, TwoBalls)
     apart = jnp.linalg.norm(free.position[1] - free.position[0]) - 2 * balls.radius

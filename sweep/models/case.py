@@ -1,4 +1,5 @@
-"""All parameters of one rollout. A rollout has two cases: the world is simulated, the belief goes to the planner."""
+"""All parameters of one rollout: a `Case` for the simulated world and another for the belief of planner and
+controller."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -46,30 +47,32 @@ class Manoeuvre:
         complete_manoeuvre(cls)
 
     def plan(self, belief: "Case") -> Any:
-        """Make the `sweep.controllers.plan.Plan` for the believed case, traced by JAX.
+        """Make the plan for the believed case; JAX traces this function.
 
         Numbers are nan where no plan exists. Raises `InputError` where plain numbers admit no plan.
         """
         raise NotImplementedError
 
     def init_memory(self, belief: "Case", plan: Any) -> Any:
-        """Return the state of the feedback before the first tick, see `sweep.controllers.tracker.FeedbackLaw`."""
+        """Return the state of the manoeuvre's feedback before the first tick."""
         return None
 
     def guide(self, belief: "Case", ctx: Any, state: Any) -> Any:
-        """Return the guidance of the feedback in one tick, see `sweep.controllers.tracker.FeedbackLaw`."""
+        """Return the stance to command in one tick, for manoeuvres with feedback."""
         raise NotImplementedError
 
     def is_stage_over(self, belief: "Case", plan: Any, state: Any, obs: Any) -> Any:
-        """Return whether the event has occurred that the current stage waits for; `duration` is its longest time."""
+        """Return whether the event that the current stage waits for has occurred; the stage's `duration` is its longest
+        time."""
         raise NotImplementedError
 
     def obstacle_speed(self, duration: Array) -> Array:
-        """Return the reference speed (m/s) of the driven body at the end of a plan of `duration` (s)."""
+        """Return the reference speed (m/s) of the driven free body at the end of a plan of `duration` (s)."""
         raise NotImplementedError
 
     def lateral_offset(self, way: Float[Array, " 3"]) -> Array:
-        """Return the distance (m) of the body from its path after a displacement `way` (m, world axes)."""
+        """Return the distance (m) of the driven free body from its planned path after a displacement `way` (m, world
+        axes)."""
         return jnp.abs(way[1])
 
 
@@ -77,7 +80,7 @@ DERIVED_FIELDS = {"is_guided": "guide", "ends_stages": "is_stage_over", "drives_
 
 
 def complete_manoeuvre(cls: type) -> None:
-    """Set the fields of `Manoeuvre` that follow from the methods of a class.
+    """Set the class attributes of a manoeuvre class that follow from its methods.
 
     A class of a user module that does not inherit from `Manoeuvre` gets its other members as well.
     """
@@ -90,7 +93,8 @@ def complete_manoeuvre(cls: type) -> None:
 
 @parameters
 class Case:
-    """All parameter groups of one rollout, made by the configuration.
+    """All parameter groups of one rollout (robot, obstacle, manoeuvre, ...): either the simulated world or the robot's
+    belief.
 
     A pytree: leaves are numbers, or arrays over the batch where a study varies them.
     """
@@ -106,6 +110,6 @@ class Case:
     plan: PlanTable = PlanTable()
 
     def obstacle_of_type[T: Obstacle](self, kind: type[T]) -> T:
-        """Return the obstacle with the type that the manoeuvre supports."""
+        """Return the obstacle, checked to be of the type that the manoeuvre supports."""
         assert isinstance(self.obstacle, kind)
         return self.obstacle

@@ -1,4 +1,4 @@
-"""Collisions of links and base in C MuJoCo, with the full-size obstacle and each other. Foot contacts stay the same.
+"""Collisions of links and base with the obstacle and each other in C MuJoCo; foot contacts are unchanged.
 
 Every leg collides with every other leg, its thigh (from `Robot.hip_clearance` on) and its shin with the base between
 the hips, and these two, from where the knee's fork ends, with each other. Shins end as in
@@ -23,7 +23,7 @@ OBSTACLE_COLLISION_BIT, SHIN_COLLISION_BIT, LEG_COLLISION_BIT = (
 
 
 def enable_collisions(spec: mujoco.MjSpec, case: Case, links: tuple[str, ...]) -> None:
-    """Enable collisions of links and base in a finished spec.
+    """Enable collisions of links and base in a finished MuJoCo spec.
 
     Args:
         spec: The model of `build_spec` with geoms; changed in place.

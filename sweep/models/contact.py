@@ -5,7 +5,7 @@ from sweep.core.parameters import parameters, quantity
 
 @parameters
 class Contact:
-    """Viscoelastic point contact with a Coulomb limit.
+    """Parameters of the viscoelastic point contact with a Coulomb limit.
 
     The factor epsilon that the book puts beside d_n = 100 N s/m is undefined there; `damping` is their product, chosen
     so that feet hardly rebound (docs/model.md). A step may last no longer than a contact takes to relax, damping over

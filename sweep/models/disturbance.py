@@ -6,7 +6,7 @@ from sweep.models.legs import N_JOINTS
 
 @parameters
 class ExecutionFaults:
-    """Faults in the execution of a plan, all off by default."""
+    """Parameters of faults in the execution of a plan, all off by default."""
 
     torque_scale: float = quantity(1.0, "-", at_least=0, at_most=1)  # multiplies the drives' torque limit
     dead_joint: float = quantity(-1, "index", at_least=-1, at_most=N_JOINTS - 1)  # of `JOINTS`; -1: none

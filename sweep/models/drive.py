@@ -10,7 +10,8 @@ from sweep.core.parameters import parameters, quantity
 
 @parameters
 class Drive:
-    """U = clip(stiffness (ref - q) - damping q', +-torque_limit), joint torque M = U - back_emf q'.
+    """Parameters of a joint drive: U = clip(stiffness (ref - q) - damping q', +-torque_limit), joint torque M = U -
+    back_emf q'.
 
     `damping` is -chi2 = 2 sqrt(chi1) + delta - c_e of the book for chi1 = 4.5e4, delta = 100.
     """
@@ -31,7 +32,7 @@ class Drive:
 
 
 class ServoCommand(NamedTuple):
-    """The command of a tracker to all drives: U = clip(stiffness (target - q) - damping q' + torque, +-torque_limit).
+    """Command to all drives in a tick: U = clip(stiffness (target - q) - damping q' + torque, +-torque_limit).
 
     In position mode stiffness and damping are those of (1.2.1). A joint in torque mode has no stiffness, and a damping
     of -back_emf, so that its torque is `torque` itself.
@@ -44,7 +45,7 @@ class ServoCommand(NamedTuple):
 
 
 def position_command(drive: Drive, target: Float[Array, "6 3"]) -> ServoCommand:
-    """Command all joints to target angles with the drive's own gains.
+    """Return the command that drives all joints to target angles with the drive's own gains.
 
     Args:
         drive: The gains.
@@ -55,7 +56,7 @@ def position_command(drive: Drive, target: Float[Array, "6 3"]) -> ServoCommand:
 
 
 def interpolate_target(start: ServoCommand, end: ServoCommand, share: Array | float) -> ServoCommand:
-    """Interpolate the target angles within a control tick; a target that is held for the whole tick ratchets the feet.
+    """Interpolate the target angles linearly within a control tick; constant targets would ratchet the feet.
 
     Args:
         start: The last tick's command.

@@ -1,4 +1,4 @@
-"""Geometry that the metrics need: support polygon, links as segments. World axes, metres.
+"""Geometry for metrics: support polygon, and distances between links as segments. World axes, metres.
 
 Legs are the first axis throughout: what is done to each is then one operation of a compiled program.
 """
@@ -22,7 +22,7 @@ PROBE_DEPTHS = (0.4, 1.0)  # of it, how deep under a foot: the first is in the m
 
 
 def support_margin(feet: Float[Array, "n 2"], standing: Bool[Array, " n"], point: Float[Array, " 2"]) -> Array:
-    """Signed distance of a point to the border of the convex hull of the standing feet, positive inside.
+    """Return the signed distance of a point to the border of the convex hull of the standing feet, positive inside.
 
     An ordered pair of feet is a border when every other standing foot lies to its left. Fewer than three standing
     feet, or feet on one line, support nothing: the margin is then minus the distance to the nearest border line.
@@ -49,7 +49,7 @@ def support_margin(feet: Float[Array, "n 2"], standing: Bool[Array, " n"], point
 
 
 def edge_distance(obstacle: Obstacle, feet: Float[Array, "n 3"], bodies: BodyPoses) -> Float[Array, " n"]:
-    """Distance of feet from the edges of the faces on which they stand.
+    """Return the distances of feet from the edges of the faces on which they stand.
 
     It probes the depth of the obstacle under each foot, so that it is at most `EDGE_SEARCH_RADIUS_M` and half the local
     thickness.
@@ -72,7 +72,7 @@ def edge_distance(obstacle: Obstacle, feet: Float[Array, "n 3"], bodies: BodyPos
 def segment_distance(
     p: Float[Array, "*b 3"], p_end: Float[Array, "*b 3"], q: Float[Array, "*b 3"], q_end: Float[Array, "*b 3"]
 ) -> Float[Array, "*b"]:
-    """Least distance between pairs of segments, p to p_end and q to q_end (m)."""
+    """Return the least distance (m) between pairs of segments, p to p_end and q to q_end."""
     u, v, w = p_end - p, q_end - q, p - q
     a, b, c = _dot(u, u), _dot(u, v), _dot(v, v)
     d, e = _dot(u, w), _dot(v, w)
@@ -89,7 +89,7 @@ def segment_distance(
 def segment_box_distance(
     a: Float[Array, "n 3"], b: Float[Array, "n 3"], half: Float[Array, " 3"]
 ) -> Float[Array, " n"]:
-    """Distance of segments to a box of half-sizes `half` about the origin; negative if a segment enters it.
+    """Return the distance of segments to a box of half sizes `half` about the origin; negative if a segment enters it.
 
     Its square is convex along a segment: the slope is halved in on, coordinate by coordinate, which a compiler makes
     one loop of.
@@ -111,7 +111,7 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def gap_between_legs(joints: Float[Array, "6 k 3"]) -> Float[Array, ""]:
-    """Least distance between the centre lines of any two legs.
+    """Return the least distance between the centre lines of any two legs.
 
     `joints` are the points along each leg from the end of the hip's first link to the foot.
     """
@@ -125,14 +125,14 @@ def gap_between_legs(joints: Float[Array, "6 k 3"]) -> Float[Array, ""]:
 
 
 class Capsules(NamedTuple):
-    """Links of all legs as capsules, made by `link_capsules`."""
+    """Links of all legs as capsules for distance computations, made by `link_capsules`."""
 
     start: Float[Array, "6 n 3"]  # m, of the centre line
     end: Float[Array, "6 n 3"]  # m
     radius: Float[Array, " n"]  # m
 
     def distance_to(self, solids: Sequence[Solid]) -> Float[Array, "6 n"]:
-        """Signed distance (m) of each link to the nearest of the solids."""
+        """Return the signed distance (m) of each link to the nearest of some solids."""
         return jax.vmap(partial(distance_to_segments, solids))(self.start, self.end) - self.radius
 
 
@@ -163,7 +163,7 @@ def link_capsules(joints: Float[Array, "6 k 3"], robot: Robot) -> Capsules:
 
 
 def shin_slope_sines(joints: Float[Array, "6 k 3"], normal: Float[Array, "6 3"]) -> Float[Array, " 6"]:
-    """Sines of the angles between shins and the faces under their feet.
+    """Return the sines of the angles between shins and the faces under their feet.
 
     Args:
         joints: Points along each leg from the hip to the foot (m).
@@ -182,7 +182,7 @@ def leg_base_gap(
     rotation: Float[Array, "3 3"],
     robot: Robot,
 ) -> Float[Array, ""]:
-    """Least distance of thighs and shins to the robot's own base between the hips.
+    """Return the least distance of thighs and shins to the robot's own base between the hips.
 
     Thighs start at the surface of the base, so that only their part beyond `hip_clearance` counts.
 
@@ -202,7 +202,7 @@ def leg_base_gap(
 
 
 def thigh_shin_gap(joints: Float[Array, "6 k 3"], clearance: Array | float) -> Float[Array, ""]:
-    """Least distance between the centre lines of a leg's thigh and shin.
+    """Return the least distance between the centre lines of a leg's thigh and shin.
 
     Args:
         joints: Points along each leg from the hip to the foot (m).

@@ -5,7 +5,7 @@ from sweep.core.parameters import count, parameters, quantity
 
 @parameters
 class Noise:
-    """Sensor errors: noise, bias, offsets and delays, all off by default.
+    """Parameters of sensor errors: noise, bias, offsets and delays, all off by default.
 
     A bias is drawn once a rollout, noise anew at every control tick; both are normal with the given deviation. An
     offset is a constant error that is given, and added to what is drawn: an axis of a study may search it.

@@ -1,4 +1,4 @@
-"""The numbers of a case's plan table as parameters: the content of a file, and changed numbers by path.
+"""The numbers of a plan as parameters of a case: the content of its plan file, and changed numbers by path.
 
 `sweep/planning/plan_table.py` reads and evaluates them.
 """
@@ -17,7 +17,7 @@ INCREMENT_PREFIX = "+"  # before a path: by how much the number there is more th
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class PlanTable:
-    """The numbers of a case's plan: content of its file, unless the manoeuvre has its own, and changed numbers.
+    """Numbers of a case's plan: the content of its plan file, and changed numbers by path.
 
     The configuration makes it; axes and tuning change it. JAX traces only the changed numbers.
     """
@@ -27,7 +27,7 @@ class PlanTable:
     values: tuple[Array | float, ...] = ()
 
     def with_value(self, path: str, value: Any, formulas: Mapping[str, float] | None = None) -> "PlanTable":
-        """Return a table with another number.
+        """Return a table with the number at `path` replaced.
 
         Args:
             path: The number's path without `plan.`.

@@ -27,7 +27,7 @@ class LegMounts(NamedTuple):
 
 
 def leg_mounts(robot: Robot) -> LegMounts:
-    """Return the hips of legs 1 to 6 and the yaw of the legs' axes: monograph 1.1, (1.1.5)."""
+    """Return hip positions of legs 1 to 6 and the yaw of their axes: monograph 1.1, (1.1.5)."""
     hips = (
         circular_mounts(robot.mount_radius)
         if robot.mounts == "circle"
@@ -46,7 +46,7 @@ def leg_directions(robot: Robot) -> Float[Array, "6 3"]:
 
 
 def foot_centres(robot: Robot, spread: Array | float, height: Array | float) -> Float[Array, "6 3"]:
-    """Return feet at a fixed offset from their hips, base axes (m): C' of monograph (1.3.4).
+    """Return foot positions at a fixed offset from their hips, base axes (m): C' of monograph (1.3.4).
 
     Args:
         robot: the robot.
@@ -58,7 +58,7 @@ def foot_centres(robot: Robot, spread: Array | float, height: Array | float) -> 
 
 
 def foot_positions(robot: Robot, angles: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
-    """Return the feet (m, base axes) at joint angles (rad).
+    """Return the foot positions (m, base axes) at joint angles (rad).
 
     Args:
         robot: the robot.
@@ -82,7 +82,7 @@ def leg_points(robot: Robot, angles: Float[Array, "6 3"]) -> Float[Array, "6 k 3
 def feet_in_world(
     robot: Robot, position: Float[Array, " 3"], quat: Float[Array, " 4"], angles: Float[Array, "6 3"]
 ) -> Float[Array, "6 3"]:
-    """Return the feet (m, world axes) at joint angles and a base pose.
+    """Return the foot positions (m, world axes) at joint angles and a base pose.
 
     Args:
         robot: the robot.
@@ -108,7 +108,7 @@ def joint_targets(robot: Robot, stance: Stance) -> tuple[Float[Array, "6 3"], Fl
 
 
 def feet_in_hip_axes(robot: Robot, stance: Stance) -> Float[Array, "6 3"]:
-    """Return the feet of a stance in the axes of their hips.
+    """Return the foot positions of a stance in the axes of their hips.
 
     The y axis of a hip points to the left or, for radial legs, is turned with the mount.
 

@@ -13,7 +13,7 @@ PIN_RADIUS = 2e-3  # m, of the pin that is solid of that end all the same, up to
 
 @parameters
 class Robot:
-    """Six-legged robot: a box body and legs of coxa (l0), thigh (l1) and shin (l2).
+    """Parameters of the six-legged robot: a box body, and legs of coxa (l0), thigh (l1) and shin (l2).
 
     Legs are numbered 1-2 rear, 3-4 middle, 5-6 front, odd on the right. Base axes: x forward, y left, z up.
     """
@@ -42,12 +42,12 @@ class Robot:
 
 
 def base_half_size(robot: Robot) -> Float[Array, " 3"]:
-    """Half length, width and height of the base (m)."""
+    """Return half length, half width and half height of the base (m)."""
     return 0.5 * jnp.stack([jnp.asarray(s, float) for s in (robot.body_length, robot.body_width, robot.body_height)])
 
 
 def forbidden_half_size(robot: Robot) -> Float[Array, " 3"]:
-    """Half sizes (m) of the box that legs must not enter: the base without the margin that thighs sweep.
+    """Return half sizes (m) of the box that legs must not enter: the base without the margin that thighs sweep.
 
     Hips lie on the sides of the base. Between the hips the sides stand back by a link's radius, so that a thigh which
     turns along a side passes it.
@@ -56,16 +56,17 @@ def forbidden_half_size(robot: Robot) -> Float[Array, " 3"]:
 
 
 def total_mass(robot: Robot) -> Array | float:
-    """Mass of the whole robot (kg)."""
+    """Return the mass of the whole robot (kg)."""
     coxa = robot.coxa_mass if robot.legs == "three_link" else 0.0
     return robot.body_mass + N_LEGS * (coxa + robot.thigh_mass + robot.shin_mass)
 
 
 def length_unit(robot: Robot) -> Array | float:
-    """Unit of lengths in plans (m): thigh and shin, scaled so that the monograph's robot has its base length a_r."""
+    """Return the unit of lengths in plans (m): thigh plus shin, scaled to the base length a_r for the monograph's
+    robot."""
     return (robot.thigh + robot.shin) * (1.05 / 0.855)
 
 
 def link_names(robot: Robot) -> tuple[str, ...]:
-    """Names of a leg's links, from the hip outwards."""
+    """Return the names of a leg's links, from the hip outwards."""
     return ("coxa", "thigh", "shin") if robot.legs == "three_link" else ("thigh", "shin")

@@ -1,4 +1,4 @@
-"""MuJoCo model of a case: compiled once for its topology; the fields that vary are a pure JAX function.
+"""MuJoCo model of a case, compiled once; the fields that vary are a pure JAX function of the parameters.
 
 `compile_model` makes an `MjModel` (for `native`, for drawing, and once for `mjx`); `leaves` gives the arrays of that
 model that depend on parameters, under vmap, so that sizes and masses are swept without compiling anything again.
@@ -33,7 +33,7 @@ def _rod(mass: Array | float, length: Array | float, radius: Array | float) -> t
 
 
 def batched_model_fields(case: Case) -> dict[str, dict[str, Array]]:
-    """Fields of the MuJoCo model that depend on parameters, for a batched or traced case.
+    """Return the fields of the MuJoCo model that depend on parameters, for a batched or traced case.
 
     Returns:
         Arrays by field of `MjModel`, then by the name of a body, site or (for `dof_armature`) joint.
@@ -75,7 +75,7 @@ _leaves = jax.jit(batched_model_fields)  # a row of a table of cases would take 
 
 
 def compile_model(case: Case, geoms: bool = True) -> mujoco.MjModel:
-    """Build the MuJoCo model of one case.
+    """Build and compile the MuJoCo model of one case.
 
     Args:
         case: Parameters, plain numbers.
@@ -122,7 +122,7 @@ def _least_inertias(structure: Any, axes: tuple[int | None, ...], leaves: list[A
 
 
 def build_spec(case: Case, geoms: bool = True) -> mujoco.MjSpec:
-    """Describe robot and obstacle of one case as a MuJoCo spec.
+    """Build the MuJoCo spec of robot and obstacle of one case.
 
     Args:
         case: Parameters, plain numbers.
@@ -244,7 +244,7 @@ def _add_leg(
 
 
 def native_model(case: Case, time_step: float, solid: bool = False) -> mujoco.MjModel:
-    """Compile the model of the native engine.
+    """Compile the MuJoCo model of the native engine.
 
     Args:
         case: Parameters, plain numbers.
@@ -255,7 +255,7 @@ def native_model(case: Case, time_step: float, solid: bool = False) -> mujoco.Mj
 
 
 def native_spec(case: Case, time_step: float, solid: bool = False) -> mujoco.MjSpec:
-    """Describe the model of the native engine: contact, the clamped servos of (1.2.1) and foot force sensors.
+    """Build the MuJoCo spec of the native engine: contact, the clamped servos of (1.2.1) and foot force sensors.
 
     The settings hold a stiff robot still: elliptic cones, impratio 100, stiff contact.
 

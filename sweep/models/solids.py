@@ -1,4 +1,4 @@
-"""Obstacles as solids, and their true signed distances to a robot's links and base. World axes, metres, radians.
+"""Obstacles as solids, with true signed distances to a robot's links and base. World axes, metres, radians.
 
 The signed distance of two bodies is their gap where they are apart, and minus the least shift that parts them where
 they overlap (penetration depth). Apart, it is found on edges: the distance from a convex solid is a convex function
@@ -33,31 +33,32 @@ EDGE_STARTS, EDGE_ENDS = (
 
 
 class Solid(Protocol):
-    """A rigid shape of an obstacle with signed distances to links and base. Sizes may be plain or traced numbers."""
+    """A rigid shape of an obstacle, with signed distances to links and base. Sizes may be plain or traced numbers."""
 
     @property
     def name(self) -> str:
-        """Name of its geoms in MuJoCo."""
+        """Name of the solid's geoms in MuJoCo."""
         ...
 
     @property
     def body(self) -> int:
-        """Index of the free body that it belongs to, -1 for the fixed world."""
+        """Index of the free body to which the solid belongs; -1 for the fixed world."""
         ...
 
     def segment_distance(self, a: Float[Array, "n 3"], b: Float[Array, "n 3"]) -> Float[Array, " n"]:
-        """Signed distance (m) to n segments from `a` to `b` (m, world axes)."""
+        """Return the signed distances (m) to n segments from `a` to `b` (m, world axes)."""
         ...
 
     def box_distance(
         self, centre: Float[Array, " 3"], rotation: Float[Array, "3 3"], half: Float[Array, " 3"]
     ) -> Float[Array, ""]:
-        """Signed distance (m) to a box of half sizes `half` (m) along the columns of `rotation` (world axes)."""
+        """Return the signed distance (m) to a box of half sizes `half` (m) along the columns of `rotation` (world
+        axes)."""
         ...
 
 
 def distance_to_segments(solids: Sequence[Solid], a: Float[Array, "n 3"], b: Float[Array, "n 3"]) -> Float[Array, " n"]:
-    """Signed distance of segments, such as centre lines of capsules, to the nearest solid.
+    """Return the signed distance of segments, such as centre lines of capsules, to the nearest solid.
 
     Args:
         solids: The solids of an obstacle.
@@ -73,7 +74,7 @@ def distance_to_segments(solids: Sequence[Solid], a: Float[Array, "n 3"], b: Flo
 def distance_to_box(
     solids: Sequence[Solid], centre: Float[Array, " 3"], rotation: Float[Array, "3 3"], half: Float[Array, " 3"]
 ) -> Float[Array, ""]:
-    """Signed distance of a box to the nearest solid.
+    """Return the signed distance of a box to the nearest solid.
 
     Args:
         solids: The solids of an obstacle.
@@ -109,7 +110,7 @@ def array_module(x: Any) -> Any:
 def box_corners(
     centre: Float[Array, " 3"], rotation: Float[Array, "3 3"], half: Float[Array, " 3"]
 ) -> Float[Array, "8 3"]:
-    """The eight corners of a box (m)."""
+    """Return the eight corners of a box (m)."""
     return centre + (CORNER_SIGNS.astype(half.dtype) * half) @ rotation.T
 
 
@@ -122,12 +123,12 @@ class HalfSpace:
     body: int = -1
 
     def segment_distance(self, a: Array, b: Array) -> Array:
-        """Distance of the lower end, see `Solid`."""
+        """Return the signed distance (m) to segments: that of their lower ends to the plane."""
         normal = _vector(self.normal, a.dtype)
         return jnp.minimum(a @ normal, b @ normal)
 
     def box_distance(self, centre: Array, rotation: Array, half: Array) -> Array:
-        """Distance of the lowest corner, see `Solid`."""
+        """Return the signed distance (m) to a box: that of its lowest corner to the plane."""
         normal = _vector(self.normal, centre.dtype)
         return centre @ normal - jnp.abs(normal @ rotation) @ half
 
@@ -142,13 +143,13 @@ class Sphere:
     body: int = -1
 
     def segment_distance(self, a: Array, b: Array) -> Array:
-        """Distance of the nearest point to the centre, less the radius, see `Solid`."""
+        """Return the signed distance (m) to segments: that of their nearest point to the centre, minus the radius."""
         centre, along = _vector(self.centre, a.dtype), b - a
         share = jnp.clip(_dot(centre - a, along) / (_dot(along, along) + MIN_SQUARE), 0.0, 1.0)
         return _length(a + share[:, None] * along - centre) - self.radius
 
     def box_distance(self, centre: Array, rotation: Array, half: Array) -> Array:
-        """Distance of the box to the centre, less the radius, see `Solid`."""
+        """Return the signed distance (m) to a box: its distance to the centre, minus the radius."""
         return distance_from_box((_vector(self.centre, centre.dtype) - centre) @ rotation, half) - self.radius
 
 
@@ -164,27 +165,28 @@ class _Convex(ABC):
 
     @abstractmethod
     def signed_distance(self, points: Float[Array, "n 3"]) -> Float[Array, " n"]:
-        """Signed distance (m) to points (m)."""
+        """Return the signed distance (m) from the solid to points (m, solid axes)."""
 
     @abstractmethod
     def extent(self, axes: Float[Array, "*n 3"]) -> tuple[Array, Array]:
-        """Support function: extent of the solid along axes and against them (m)."""
+        """Return the extent of the solid (m) along given axes and against them (its support function)."""
 
     @abstractmethod
     def support_points(self, axes: Float[Array, "3 3"]) -> Float[Array, "m 3"]:
-        """Support points: for each axis (row) one of them is outermost along it, and one against it."""
+        """Return points of the solid among which, for each axis (row), one is outermost along it and one against it."""
 
     @abstractmethod
     def face_normals(self, dtype: Any) -> Float[Array, "k 3"]:
-        """Normals of the flat faces, one of each parallel pair."""
+        """Return the normals of the solid's flat faces, one of each parallel pair."""
 
     def curved_normals(self, points: Float[Array, "n 3"]) -> list[Array]:
-        """Normals (n, 3) of the curved face towards points."""
+        """Return the normals (n, 3) of the solid's curved face towards points."""
         return []
 
     @abstractmethod
     def edge_cross_axes(self, along: Float[Array, "n 3"], points: Float[Array, "n 3"]) -> list[Array]:
-        """Axes (n, 3) normal to the solid's edges and to edges along `along`, whose innermost points are `points`."""
+        """Return axes (n, 3) normal to the solid's edges and to edges along `along`, whose innermost points are
+        `points`."""
 
     def to_solid_frame(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
         """Transform points from the world frame to the solid's frame (m)."""
@@ -209,7 +211,8 @@ class _Convex(ABC):
         return jnp.where(apart > 0, apart, jnp.max(parted, axis=0))
 
     def box_distance(self, centre: Array, rotation: Array, half: Array) -> Array:
-        """Distance of both solids' edges and corners, or of separating planes where they overlap, see `Solid`."""
+        """Return the signed distance (m) to a box, from edges and corners, or from separating planes if they
+        overlap."""
         centre = self.to_solid_frame(centre)
         rotation = rotation if self.rotation is None else self.rotation.T @ rotation
         corners = box_corners(centre, rotation, half)
@@ -239,63 +242,63 @@ class _Convex(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class Box(_Convex):
-    """A box about its position, with half sizes along its own axes."""
+    """A box about its centre, with half sizes along its own axes."""
 
     half: Sequence[Any] | Array
 
     def signed_distance(self, points: Array) -> Array:
-        """Signed distance from the half-sizes, see `_Convex`."""
+        """Return the signed distance (m) from the box to points (m, box axes)."""
         return distance_from_box(points, _vector(self.half, points.dtype))
 
     def extent(self, axes: Array) -> tuple[Array, Array]:
-        """Extent (m) from the centre along `axes` and against them, which are equal; see `_Convex`."""
+        """Return the extents (m) of the box from its centre along given axes and against them, which are equal."""
         extent = jnp.abs(axes) @ _vector(self.half, axes.dtype)
         return extent, extent
 
     def support_points(self, axes: Array) -> Array:
-        """The eight corners, see `_Convex`."""
+        """Return the eight corners of the box."""
         return jnp.asarray(CORNER_SIGNS, axes.dtype) * _vector(self.half, axes.dtype)
 
     def face_normals(self, dtype: Any) -> Array:
-        """The box's three axes, see `_Convex`."""
+        """Return the box's three axes."""
         return jnp.eye(3, dtype=dtype)
 
     def edge_cross_axes(self, along: Array, points: Array) -> list[Array]:
-        """Cross products with the box's three axes, see `_Convex`."""
+        """Return the cross products of edges along `along` with the box's three axes."""
         return [jnp.cross(edge, along) for edge in np.eye(3, dtype=along.dtype)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cylinder(_Convex):
-    """A cylinder along its own z axis about its position."""
+    """A cylinder about its centre, along its own z axis."""
 
     radius: Any
     half: Any  # of its height
 
     def signed_distance(self, points: Array) -> Array:
-        """Signed distance from radius and height, see `_Convex`."""
+        """Return the signed distance (m) from the cylinder to points (m, cylinder axes)."""
         return _extruded_distance(_length(points[..., :2]) - self.radius, jnp.abs(points[..., 2]) - self.half)
 
     def extent(self, axes: Array) -> tuple[Array, Array]:
-        """Extent (m) from the centre along `axes` and against them, which are equal; see `_Convex`."""
+        """Return the extents (m) of the cylinder from its centre along given axes and against them, which are equal."""
         extent = self.radius * _length(axes[..., :2]) + self.half * jnp.abs(axes[..., 2])
         return extent, extent
 
     def support_points(self, axes: Array) -> Array:
-        """Points of both rims, see `_Convex`."""
+        """Return points of both rims that are outermost along given axes."""
         rim = self._rim(axes[:, :2] / _length(axes[:, :2])[:, None], jnp.where(axes[:, 2] < 0, -1.0, 1.0))
         return jnp.concatenate([rim, -rim])
 
     def face_normals(self, dtype: Any) -> Array:
-        """The cylinder's axis, see `_Convex`."""
+        """Return the cylinder's axis, the normal of its end faces."""
         return jnp.eye(3, dtype=dtype)[2:]
 
     def curved_normals(self, points: Array) -> list[Array]:
-        """Radial directions towards the points, see `_Convex`."""
+        """Return radial directions of the cylinder towards points."""
         return [points * np.array([1, 1, 0], points.dtype)]
 
     def edge_cross_axes(self, along: Array, points: Array) -> list[Array]:
-        """Axes at the point of the rim whose tangent is most parallel to the edge, see `_Convex`."""
+        """Return axes at the rim points whose tangent is most parallel to an edge along `along`."""
         side = jnp.where(points[:, 2] < 0, -1.0, 1.0)
         clamped = jnp.clip(points[:, 2], -self.half, self.half)
         distance = _length(points[:, :2])[:, None]
@@ -325,11 +328,11 @@ class Prism(_Convex):
     height: Any
 
     def to_solid_frame(self, points: Array) -> Array:
-        """Transform points to the prism's frame, with the origin at half its height, see `_Convex`."""
+        """Transform points from the world frame to the prism's frame, with the origin at half its height (m)."""
         return super().to_solid_frame(points) - _vector((0.0, 0.0, self.height / 2), points.dtype)
 
     def signed_distance(self, points: Array) -> Array:
-        """Signed distance from the sides of the base and the height, see `_Convex`."""
+        """Return the signed distance (m) from the prism to points (m, prism axes)."""
         corners, along, length = self._sides(points.dtype)
         offset = points[:, None, :2] - corners
         out, on = _dot(offset, _turn_left(along)), _dot(offset, along)
@@ -339,21 +342,21 @@ class Prism(_Convex):
         return _extruded_distance(aside, jnp.abs(points[:, 2]) - self.height / 2)
 
     def extent(self, axes: Array) -> tuple[Array, Array]:
-        """Extent (m) along `axes` and against them, which differ; see `_Convex`."""
+        """Return the extents (m) of the prism from its origin along given axes and against them."""
         at = axes[..., :2] @ self._sides(axes.dtype)[0].T
         up = self.height / 2 * jnp.abs(axes[..., 2])
         return up + jnp.max(at, axis=-1), up - jnp.min(at, axis=-1)
 
     def support_points(self, axes: Array) -> Array:
-        """Corners of both end faces, see `_Convex`."""
+        """Return the corners of both end faces."""
         return jnp.concatenate([_with_height(self._sides(axes.dtype)[0], end * self.height / 2) for end in (-1, 1)])
 
     def face_normals(self, dtype: Any) -> Array:
-        """Normals of the sides and of the end faces, see `_Convex`."""
+        """Return the normals of the prism's sides and end faces."""
         return jnp.concatenate([_with_height(_turn_left(self._sides(dtype)[1]), 0.0), jnp.eye(3, dtype=dtype)[2:]])
 
     def edge_cross_axes(self, along: Array, points: Array) -> list[Array]:
-        """Cross products with the edges of the base and with the prism's axis, see `_Convex`."""
+        """Return the cross products of edges along `along` with the base's edges and the prism's axis."""
         edges = [*_with_height(self._sides(along.dtype)[1], 0.0), jnp.eye(3, dtype=along.dtype)[2]]
         return [jnp.cross(edge, along) for edge in edges]
 
@@ -368,7 +371,7 @@ class Prism(_Convex):
 def minimize_along(
     signed_distance: Callable[[Array], Array], a: Float[Array, "n 3"], b: Float[Array, "n 3"]
 ) -> tuple[Float[Array, "n 3"], Float[Array, " n"]]:
-    """Minimize a signed distance along segments by golden sections; it must be convex along each.
+    """Minimize a signed distance along segments by golden-section search; it must be convex along each segment.
 
     Args:
         signed_distance: From points (n, 3) to distances (n,) (m).
@@ -410,7 +413,7 @@ def _extruded_distance(aside: Array, above: Array) -> Array:
 
 
 def distance_from_box(points: Float[Array, "*n 3"], half: Float[Array, " 3"]) -> Float[Array, "*n"]:
-    """Signed distance of points to a box about the origin, in the box's axes.
+    """Return the signed distance of points to a box about the origin, in the box's axes.
 
     Args:
         points: Points (m).

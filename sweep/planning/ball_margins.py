@@ -1,4 +1,4 @@
-"""Margins of a plan on a ball without physics: the plan's own tracker runs, and every command is reached at once.
+"""Margins of a plan on a ball without physics: the tracker runs, and every command is assumed to be reached at once.
 
 Standing feet stay where they landed, on the ground or on a body. The ball follows its reference. A ball whose motion
 the controller measures rolls instead by the angular momentum of robot and ball about the ball's lowest point, with
@@ -36,7 +36,7 @@ END_OFFSET = 1e-3
 
 
 class KinematicPlayback(NamedTuple):
-    """Poses and speeds of a plan on a ball, computed by kinematics alone, one entry a tick."""
+    """Poses and speeds of a plan on a ball, computed by kinematics alone, one entry per control tick."""
 
     stage: Int[Array, " t"]
     margins: PoseMargins
@@ -54,7 +54,7 @@ class FootContacts(NamedTuple):
 
 
 class BallRoll(NamedTuple):
-    """Rolling state of a ball: its angular momentum about its lowest point, and the robot's mass centre relative to it.
+    """Rolling state of a ball: angular momentum about its lowest point, and the robot's mass centre relative to it.
 
     The angular momentum is K = up x `momentum`.
     """
@@ -64,7 +64,7 @@ class BallRoll(NamedTuple):
 
 
 def play_plan(case: Case, plan: Plan, period: float, ticks: int) -> KinematicPlayback:
-    """Play a plan on a ball by its tracker, without physics.
+    """Run a plan on a ball through its tracker, without physics.
 
     Args:
         case: The case, which is both world and belief.
@@ -194,7 +194,7 @@ def zmp_margin(played: KinematicPlayback, period: float) -> Float[Array, " t"]:
 
 
 def stage_minima(played: KinematicPlayback, stages: int) -> PoseMargins:
-    """Return the least margins of every stage.
+    """Return the least margins of each stage.
 
     Args:
         played: The played plan.

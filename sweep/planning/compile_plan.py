@@ -1,4 +1,4 @@
-"""Turns a list of stages into the table of arrays that the tracker follows."""
+"""Compilation of a list of stages into the arrays that the tracker follows."""
 
 from collections.abc import Sequence
 
@@ -21,7 +21,7 @@ def compile_plan(
     start: Stance, stages: Sequence[Stage], patience: Array | float, gains: FlywheelGains | None = None,
     steered: bool = False, ease: Array | float | None = None, free: FreeState | None = None, afloat: bool = False,
 ) -> Plan:  # fmt: skip
-    """Return the plan of a list of stages.
+    """Compile a list of stages into a plan, the arrays that the tracker follows.
 
     Args:
         start: stance at the start, world axes.

@@ -1,4 +1,4 @@
-"""Force reserve of a standing robot: how far its foot forces can stay inside all their bounds.
+"""Force reserve of a standing robot: by how much all bounds on its foot forces could be tightened.
 
 Every foot's force must stay within its friction cone, above a least normal force and below the torque limits of its
 drives. The reserve is the largest amount by which all these bounds can be tightened at once while the forces stay in
@@ -23,7 +23,7 @@ MIN_SLACK_SHARE = 0.1  # least share of the slack of a bound that a step leaves
 
 
 class BarrierState(NamedTuple):
-    """Iterate of the barrier method: forces in units of the weight, reserve, and multipliers of the balance."""
+    """Iterate of the barrier method: forces (in weights), reserve, and multipliers of the balance."""
 
     force: Float[Array, "6 3"]  # of the feet, in weights
     reserve: Float[Array, ""]  # in weights

@@ -53,7 +53,7 @@ class ForcePlanningPose(NamedTuple):
 
 
 class ForceBounds(NamedTuple):
-    """Bounds on foot forces, each a number or one for each foot; made by `PlannedForces.force_bounds`."""
+    """Bounds on foot forces, each one number or one for each foot; made by `PlannedForces.force_bounds`."""
 
     friction: Array | float  # coefficient
     torque: Array | float  # N m, of each joint
@@ -78,7 +78,7 @@ class SearchState(NamedTuple):
 
 
 class FootForces(NamedTuple):
-    """Foot forces in a pose and the effort they take, made by `evaluate_forces`."""
+    """Foot forces in a pose, and the effort they take; made by `evaluate_forces`."""
 
     force: Float[Array, "6 3"]  # N, of the surface on the foot, world axes
     friction: Float[Array, ""]  # largest ratio of tangential to normal force
@@ -90,7 +90,7 @@ class FootForces(NamedTuple):
 def force_planning_pose(
     robot: Robot, stance: Stance, normal: Float[Array, "6 3"], stands: Bool[Array, " 6"]
 ) -> ForcePlanningPose:
-    """Return the pose of a stance for force planning.
+    """Return the pose for force planning of a robot in a given stance.
 
     Args:
         robot: the robot, as believed.
@@ -120,7 +120,7 @@ def joint_torque(pose: ForcePlanningPose, force: Float[Array, "6 3"]) -> Float[A
 
 
 def distribute_forces(pose: ForcePlanningPose, bounds: ForceBounds, least: Effort) -> FootForces:
-    """Return balanced foot forces within bounds that nearly minimise one effort.
+    """Return balanced foot forces within bounds that nearly minimise an effort, such as torque.
 
     The method of centres: a level slightly above the largest effort is set, a Newton step moves the forces towards the
     point that is farthest, in the logarithmic sense, from the level and all bounds, and so on with a shrinking margin.
@@ -137,7 +137,7 @@ def distribute_forces(pose: ForcePlanningPose, bounds: ForceBounds, least: Effor
 
 
 def force_search(least: Effort) -> Callable[[ForceProblem], Float[Array, "n 6 3"]]:
-    """Return the function that finds forces, in weights, for n problems at once.
+    """Return a function that searches for balanced forces, in weights, for n problems at once.
 
     In a traced program it is a single operation with a name from `SEARCHES`, so that the package's own compiler can
     replace it by a faster one that treats all problems in parallel.
@@ -207,7 +207,7 @@ class _ScaledPose(NamedTuple):
         return cls(pose.normal, stands, grasp, -pose.jacobian.swapaxes(1, 2), pose.own_torque / pose.weight)
 
     def initial_forces(self, bounds: ForceBounds) -> Array:
-        """Unbalanced forces along the normals, within the bounds if the least normal force permits it."""
+        """Return unbalanced forces along the normals, within the bounds if the least normal force permits it."""
         pull = jnp.abs(jnp.einsum("lij,lj->li", self.drive, self.normal)) + 1e-6
         most = jnp.min((jnp.asarray(bounds.torque)[:, None] - jnp.abs(self.own)) / pull, axis=-1)
         size = 0.5 * (bounds.least_normal + jnp.minimum(most, bounds.most_normal))
@@ -217,7 +217,7 @@ class _ScaledPose(NamedTuple):
         return self.own + jnp.einsum("lij,lj->li", self.drive, force)
 
     def effort(self, force: Array, kind: Effort) -> Float[Array, " 6"]:
-        """Effort of each foot."""
+        """Return the effort of each foot."""
         normal = jnp.sum(force * self.normal, axis=-1)
         if kind == "torque":
             return jnp.max(jnp.abs(self.torque(force)), axis=-1) * self.stands
@@ -227,12 +227,12 @@ class _ScaledPose(NamedTuple):
         return jnp.where(self.stands > 0, tangential / jnp.maximum(normal, 1e-6), 0.0)
 
     def imbalance(self, force: Array) -> Float[Array, " 6"]:
-        """Unsupported weight, and its moment (m)."""
+        """Return the unsupported weight and its moment (m)."""
         weight = jnp.zeros(6, force.dtype).at[2].set(1.0)
         return weight - jnp.einsum("lij,lj->i", self.grasp, force)
 
     def margins(self, force: Array, bounds: ForceBounds) -> dict[Effort, Float[Array, "6 k"]]:
-        """Distance to each bound, positive inside."""
+        """Return the distances of forces to their bounds, positive inside."""
         normal = jnp.sum(force * self.normal, axis=-1)
         tangential = jnp.sum((force - normal[:, None] * self.normal) ** 2, axis=-1)
         torque = self.torque(force)
@@ -250,7 +250,7 @@ class _ScaledPose(NamedTuple):
         return -sum((weight[kind] * logs[kind] for kind in logs), jnp.zeros(()))
 
     def newton_step(self, force: Array, bounds: ForceBounds, least: Effort) -> Array:
-        """Forces after a Newton step towards balance and the centre of the bounds, shortened to stay inside."""
+        """Return forces after a Newton step towards balance and the centre of the bounds, shortened to stay inside."""
         gradient = jax.grad(self.barrier)(force, bounds, least)
         swings = (1 - self.stands)[:, None, None] * jnp.eye(3, dtype=force.dtype)
         curvature = jnp.stack(
@@ -303,11 +303,11 @@ class _SearchTask(NamedTuple):
 
     @property
     def initial_state(self) -> SearchState:
-        """State of the search before its first step."""
+        """Return the state of the search before its first step."""
         return SearchState(jnp.zeros_like(self.scaled.normal), jnp.zeros_like(self.scaled.stands))
 
     def step(self, search: SearchState, number: Array, least: Effort) -> SearchState:
-        """State of the search after a Newton step."""
+        """Return the state of the search after a Newton step."""
         force = jnp.where(number == 0, self.scaled.initial_forces(self.bounds), search.force)
         slack = jnp.asarray(SLACK, force.dtype)[number] * self.slack
         above = (1 + slack) * jnp.max(self.scaled.effort(force, least))
@@ -321,7 +321,7 @@ SEARCHES: dict[str, Effort] = {search.__name__: least for least, search in _SEAR
 
 
 class ForcePlan(NamedTuple):
-    """Planned forces along a plan: S stages, `KNOTS` evenly spaced moments of each. Made by `plan_forces`."""
+    """Planned foot forces at `KNOTS` evenly spaced times of each of S stages; made by `plan_forces`."""
 
     force: Float[Array, "s k 6 3"]  # N, on the feet, world axes
     torque: Float[Array, "s k 6 3"]  # N m, of the joints
@@ -379,7 +379,7 @@ def plan_forces(belief: Case, plan: Plan, bounds: ForceBounds, least: Effort) ->
 
 @parameters
 class PlannedForces(Manoeuvre):
-    """Base class with the parameters of manoeuvres that hold on by planned foot forces."""
+    """Base class of manoeuvres that hold on by planned foot forces, with the parameters of force planning."""
 
     plans_forces: ClassVar = True
 
@@ -396,7 +396,7 @@ class PlannedForces(Manoeuvre):
     anchoring: float = quantity(0.01, "s", above=0)  # time constant with which footholds follow the measured feet
 
     def with_load_transfer(self, stages: Sequence[Stage]) -> list[Stage]:
-        """Return the stages with a rest before each one, in which feet that are to swing are unloaded.
+        """Return the stages with a rest before each, in which feet that are about to swing are unloaded.
 
         A rest is in the frames of the stage before it.
         """
@@ -412,7 +412,7 @@ class PlannedForces(Manoeuvre):
         return ForceBounds(friction, torque, self.least_normal, slack=self.slack)
 
     def force_plan(self, belief: Case, plan: Plan) -> ForcePlan:
-        """Return the forces of least `effort` along a plan.
+        """Return the foot forces of least `effort` along a plan.
 
         Args:
             belief: believed parameters.

@@ -28,7 +28,7 @@ MEANINGS = {  # of gaits, in a line each
 
 
 class GaitStep(NamedTuple):
-    """Geometry and time of the regular step cycle."""
+    """Geometry and timing of the regular step cycle."""
 
     half_length: Array | float  # m, d_x
     height: Array | float  # m, d_y
@@ -38,7 +38,7 @@ class GaitStep(NamedTuple):
     def from_ratios(
         cls, unit: Array | float, half: Array | float, lift: Array | float, rate: Array | float
     ) -> "GaitStep":
-        """Make a step from ratios to a length.
+        """Make a step from ratios to a length `unit` (m).
 
         Args:
             unit: length (m) that the ratios refer to.
@@ -50,7 +50,7 @@ class GaitStep(NamedTuple):
 
     @property
     def half_swing_length(self) -> Array | float:
-        """Half length x* (m) of a swing: a foot goes from -x* to x* about the centre of its cycle."""
+        """Half length x* (m) of a swing: a foot moves from -x* to x* about the centre of its cycle."""
         return self.half_length * stepping.LANDING_RATIO
 
 
@@ -69,7 +69,8 @@ def body_advance(gait: Sequence[Sequence[int]], step: GaitStep) -> Array | float
 def initial_foot_offsets(
     gait: Sequence[Sequence[int]], step: GaitStep, forward: Float[Array, " 3"]
 ) -> Float[Array, "6 3"]:
-    """Return the feet at the start relative to the centres of their cycles (m, (6, 3)); the first to swing is rearmost.
+    """Return the feet at the start relative to the centres of their cycles (m, (6, 3)); the group that swings first is
+    rearmost.
 
     A leg that swings at turns p, p' of n lands ahead of its centre by half of what the body covers during its stance,
     so that the stance is symmetric about the centre.

@@ -1,4 +1,4 @@
-"""Margins of a plan without physics: inverse kinematics poses its stages, with feet and base as planned."""
+"""Margins of a plan without physics: inverse kinematics of its stages, with feet and base exactly as planned."""
 
 from typing import NamedTuple
 
@@ -37,7 +37,7 @@ RATE_INTERVAL = 0.02  # share of a stage over which joint rates are differenced
 
 
 class PoseMargins(NamedTuple):
-    """Margins of a pose; negative where a requirement is violated."""
+    """Margins of a pose, such as reach and clearance; negative where a requirement is violated."""
 
     base: Float[Array, "*b"]  # m, distance from the base to the obstacle
     links: Float[Array, "*b"]  # m, distance from the links to the obstacle; of shins without the foot
@@ -76,7 +76,7 @@ def planned_margins(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Arra
 
 
 class SwingFeet(NamedTuple):
-    """Feet that swing in a stage, with their lift-off and touchdown points (m, world axes)."""
+    """Feet that swing in a stage, with lift-off and touchdown points (m, world axes)."""
 
     swings: Bool[Array, " 6"]
     starts: Float[Array, "6 3"]
@@ -92,7 +92,7 @@ def stance_margins(
     shortfall: Array,
     swing: SwingFeet,
 ) -> PoseMargins:
-    """Return the margins of one stance.
+    """Return the margins of a single stance.
 
     Args:
         case: The case.

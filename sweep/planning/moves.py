@@ -1,4 +1,4 @@
-"""Reads the moves of a plan file and turns them into stages.
+"""Reading of the moves in a plan file and their conversion to stages.
 
 A move takes the base to a pose and feet to places, given by coordinates in charts that the obstacle offers. The left
 and right foot of a pair get mirrored places.
@@ -40,7 +40,7 @@ type Place = Mapping[str, Numbers]  # coordinates in one chart
 
 @dataclass(frozen=True)
 class Move:
-    """A move as a plan file has it, made by `read_moves`; keys of a part apply to all its moves.
+    """A move as written in a plan file; made by `read_moves`, with the keys of its part.
 
     Lengths are in the manoeuvre's unit unless said otherwise.
     """
@@ -75,7 +75,7 @@ SIZES = {key: len(names) for key, names in COMPONENTS.items() if key != "base"} 
 
 
 class Footing(NamedTuple):
-    """Foothold of a foot: a point, and the frame that it moves with."""
+    """Foothold of a foot: a point, and the coordinate frame that it moves with."""
 
     point: Float[Array, " 3"]  # m, in `frame`; the next swing's curve starts from it
     frame: int = WORLD_FRAME  # frame of `point`
@@ -104,7 +104,7 @@ def make_standing(feet: Feet, pitch: Number, frame: int = WORLD_FRAME) -> Standi
 
 @dataclass(frozen=True)
 class MoveContext:
-    """Charts, frames and directions that moves of a plan file refer to, for one manoeuvre on its obstacle."""
+    """Charts, frames and directions to which moves of a plan file refer, for one manoeuvre on its obstacle."""
 
     belief: Case
     unit: Number  # m, unit of lengths
@@ -120,7 +120,7 @@ class MoveContext:
     stage: Mapping[str, Any] = field(default_factory=dict)  # further fields of all stages
 
     def foothold_at(self, leg: int, place: Place, where: str, depth: Number | None = None) -> Footing:
-        """Return the foothold of a leg at a place of the plan file.
+        """Return the foothold of a leg at a place given in the plan file.
 
         Args:
             leg: leg number.
@@ -140,7 +140,7 @@ class MoveContext:
         return Footing(point, chart.frame, stands, place)
 
     def base_pose_at(self, place: Place, where: str) -> tuple[Float[Array, " 3"], Number | None, Chart]:
-        """Return the base's centre (m) at a place, its pitch (rad) if the place gives one, and its chart.
+        """Return the base's centre (m) at a place given in the plan file, its pitch (rad) if given, and the chart.
 
         Args:
             place: coordinates in a chart, with the pitch (deg) after them if the chart does not determine it.
@@ -160,7 +160,7 @@ class MoveContext:
         return point, jnp.radians(jnp.asarray(pitch[0], float)) if pitch else None, chart
 
     def chart_and_coordinates(self, place: Place, where: str) -> tuple[str, Chart, Numbers]:
-        """Return the name of a place's chart, the chart, and the place's coordinates in it.
+        """Return the name of the chart that a place uses, the chart, and the place's coordinates in it.
 
         Args:
             place: coordinates in a chart.
@@ -185,7 +185,7 @@ class MoveContext:
         return np.array([-y, x, 0.0])
 
     def to_world_vector(self, leg: int, numbers: Numbers) -> Float[Array, " 3"]:
-        """Return a vector (world axes) from its components outward from the leg's side, ahead and up."""
+        """Convert a vector from components outward from the leg's side, ahead and up to world axes."""
         out, ahead, up = (jnp.asarray(number, float) for number in numbers)
         level = float(SIDE_BY_LEG[leg - 1]) * out * self.left_direction + ahead * np.array(
             [*self.belief.obstacle.forward, 0.0]
@@ -194,7 +194,7 @@ class MoveContext:
 
 
 def initial_stance(part: str, context: MoveContext) -> tuple[Float[Array, "6 3"], Float[Array, " 3"], StandingState]:
-    """Return feet and base at the start, from a part of the file that places the robot.
+    """Return feet and base at the start, from the part of a plan file that places the robot.
 
     Args:
         part: name of the part.
@@ -218,7 +218,7 @@ def initial_stance(part: str, context: MoveContext) -> tuple[Float[Array, "6 3"]
 def part_stages(
     part: str, context: MoveContext, standing: StandingState, prefix: str | None = None
 ) -> tuple[list[Stage], StandingState]:
-    """Return the stages of one part of a plan, and where the robot stands after them.
+    """Return the plan stages of one part of a plan file, and feet and base of the robot after them.
 
     Args:
         part: name of the part.
@@ -235,7 +235,7 @@ def part_stages(
 def move_stages(
     moves: Mapping[str, Move], context: MoveContext, standing: StandingState, prefix: str
 ) -> tuple[list[Stage], StandingState]:
-    """Return the stages of moves, and the `StandingState` after them.
+    """Return the plan stages of some moves, and feet and base of the robot after them.
 
     Args:
         moves: moves by name.
@@ -308,7 +308,7 @@ def _move_stage(name: str, move: Move, context: MoveContext, standing: StandingS
 
 
 def foot_in_frame(belief: Case, foot: Footing, frame: int) -> Float[Array, " 3"]:
-    """Transform a foothold (m) to another frame, with free bodies where they start.
+    """Transform a foothold (m) to another coordinate frame, with free bodies at their start poses.
 
     Args:
         belief: has the obstacle.
@@ -322,7 +322,7 @@ def foot_in_frame(belief: Case, foot: Footing, frame: int) -> Float[Array, " 3"]
 
 
 def read_moves(belief: Case, part: str, enclosing: tuple[str, ...] = ()) -> dict[str, Move]:
-    """Return the moves of a part of a case's plan file, by name.
+    """Return the moves in a part of a case's plan file, by name.
 
     A part with `repeat` has its moves several times, with prefixes `1.`, `2.` and so on. A part with `reverse` has the
     moves of another part backwards, which started where the only move of the part `from` places the robot. It may have
@@ -373,7 +373,7 @@ def _repetition(values: Any, k: int) -> Any:
 
 
 def reverse_moves(moves: Mapping[str, Move]) -> dict[str, Move]:
-    """Return the moves in reverse, which lead back to where the first move places the robot."""
+    """Return moves in reverse order, which lead back to the place where the first move begins."""
     start, *others = moves.items()
     base, feet, reversed_moves = start[1].base, _by_leg(start[1]), {}
     for name, move in others:
@@ -407,7 +407,7 @@ def _by_leg(move: Move) -> dict[str, Place | None]:
 
 
 def placing_move(belief: Case, part: str, enclosing: tuple[str, ...] = ()) -> tuple[str, Move]:
-    """Return name and content of a part's only move, which has to place the base and all feet.
+    """Return name and content of the only move in a part, which has to place the base and all feet.
 
     Args:
         belief: the case.
@@ -424,7 +424,7 @@ def placing_move(belief: Case, part: str, enclosing: tuple[str, ...] = ()) -> tu
 
 
 def mirror_move(belief: Case, move: Move, charts: Sequence[str]) -> Move:
-    """Return a move mirrored across the robot's direction: ahead becomes behind, front legs become rear legs.
+    """Mirror a move across the robot's direction of motion: ahead becomes behind, front legs become rear legs.
 
     Args:
         belief: the case.
@@ -496,7 +496,7 @@ def _leaves(value: Any) -> Iterator[Any]:
 
 
 def read_numbers[T](cls: type[T], belief: Case, part: str) -> T:
-    """Return a part of a case's plan that holds numbers rather than moves, as a named tuple.
+    """Return a part of a case's plan that holds numbers (rather than moves) as a named tuple of the class `cls`.
 
     Args:
         cls: named tuple with the part's keys.

@@ -1,4 +1,4 @@
-"""Plan tables: the numbers of a plan in a file of the group `plan`, as parts of moves or of numbers of a manoeuvre.
+"""Plan files as tables: parts that hold moves or numbers of a manoeuvre, with formulas and slopes by sizes.
 
 A file's `extends` names the one that it starts from. Every number has a path, such as `plan.ledge.front2.base.ahead`.
 In place of a number a formula may stand, of names of the part `sizes` and of parameters, such as `obstacle.radius`; the
@@ -53,7 +53,8 @@ Ranges = Mapping[str, tuple[float, float]]  # least and largest value of sizes, 
 
 
 def refuse_malformed(content: Content) -> None:
-    """Raise `InputError` if a file's content is no plan table: parts and slopes of words and finite numbers."""
+    """Raise `InputError` if a plan file's content is malformed; allowed are parts and slopes of words and finite
+    numbers."""
 
     def wanted(form: Any, value: Any, path: str, what: str) -> None:
         if not isinstance(value, form):
@@ -94,12 +95,12 @@ def refuse_malformed(content: Content) -> None:
 
 
 def plan_direction(case: Any) -> str:
-    """Direction in time in which a case's plan is executed, one of `DIRECTIONS`."""
+    """Return the direction in time in which a case's plan is executed, one of `DIRECTIONS`."""
     return str(_file_content(case).get(WAY, FORTH))
 
 
 def plan_content(case: Any) -> Content:
-    """Content of a case's plan table with its changes, formulas unevaluated; empty if the plan has no file."""
+    """Return the content of a case's plan with changed numbers, formulas unevaluated; empty if the plan has no file."""
     changes = case.plan.changes
 
     def now(path: str, value: Any) -> Any:
@@ -110,7 +111,7 @@ def plan_content(case: Any) -> Content:
 
 
 def evaluate_plan(case: Any, part: str = "") -> Content:
-    """Evaluate a case's plan table: changes, formulas, and slopes by the case's sizes.
+    """Evaluate a case's plan: changed numbers, formulas, and slopes by the case's sizes.
 
     Args:
         case: The believed case; its numbers may be traced.
@@ -127,13 +128,13 @@ def evaluate_plan(case: Any, part: str = "") -> Content:
 
 
 def plan_values(case: Any) -> dict[str, float]:
-    """All numbers of a case's plan by path, with formulas evaluated and without slopes."""
+    """Return all numbers of a case's plan by path, with formulas evaluated but without slopes."""
     found = numbers_by_path(_evaluate_content(case, _file_content(case), {}), case.obstacle.charts)
     return {path: float(value) for path, value in found.items()}
 
 
 def formula_values(case: Any) -> dict[str, float]:
-    """Evaluate the formulas in a case's plan; values by path."""
+    """Evaluate the formulas in a case's plan; return values by path."""
     text = {
         path
         for path, value in numbers_by_path(plan_content(case), case.obstacle.charts).items()
@@ -238,7 +239,7 @@ def _refuse_lost(content: Content, path: str, found: Iterable[str]) -> NoReturn:
 
 
 def suggest_path(path: str, paths: Iterable[str], prefix: str = "plan.") -> str:
-    """Suggest the closest path for a message, as ": did you mean ...?"; empty if none is close."""
+    """Return the closest path as the end of an error message (": did you mean ...?"); empty if none is close."""
     return suggest(prefix + path, [prefix + one for one in paths]).partition(" (allowed")[0]
 
 
@@ -267,12 +268,12 @@ def parameter_value(case: Any, path: str, label: str = "", groups: Names = SIZED
 
 
 def default_plan_content(case: Any) -> Content:
-    """Content of the manoeuvre's own plan file; empty if it has none."""
+    """Return the content of the manoeuvre's own plan file; empty if it has none."""
     return load_shipped_plan(case.manoeuvre.default_plan_name) if case.manoeuvre.default_plan_name else {}
 
 
 def numbers_by_path(content: Content, charts: Mapping[str, Chart]) -> dict[str, float | str]:
-    """List all numbers of a plan table by path.
+    """Return all numbers in a plan's content by path.
 
     Args:
         content: The table's content.
@@ -290,7 +291,7 @@ def numbers_by_path(content: Content, charts: Mapping[str, Chart]) -> dict[str, 
 def map_numbers(
     content: Any, charts: Mapping[str, Chart], change: Callable[[str, Any], Any], path: str = "", names: Names = ()
 ) -> Any:
-    """Replace every number and formula of a plan table, except those of `slopes`.
+    """Replace each number and formula in a plan's content by the result of `change`, except those of `slopes`.
 
     Args:
         content: The table's content, or a branch of it.
@@ -338,7 +339,7 @@ def _nested_path(
 
 
 def plan_parameter(case: Any, path: str) -> "dataclasses.Field[Any]":
-    """Describe a number of a case's plan as a parameter, for axes.
+    """Return unit, bounds and default of a number in a case's plan, so that a study can vary it.
 
     Args:
         case: The case.
@@ -390,7 +391,7 @@ def split_searched(content: Content) -> tuple[Content, Ranges]:
 
 
 def merge_extended(name: str, read: Callable[[str], str]) -> Content:
-    """Merge a plan table over the tables that it extends.
+    """Merge a plan file over the plan files that it extends.
 
     Args:
         name: The table's name.
@@ -403,7 +404,7 @@ def merge_extended(name: str, read: Callable[[str], str]) -> Content:
 
 
 def find_overrides(content: Content, other: Content) -> dict[str, Any]:
-    """Find the keys that a file must set to turn `content` into `other` by `extends`.
+    """Return the keys that a plan file must set so that, extending `content`, it equals `other`.
 
     Args:
         content: The table that is extended.

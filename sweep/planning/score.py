@@ -1,4 +1,4 @@
-"""Score of a plan's free numbers: the deficits of its margins over draws of the belief, without physics.
+"""Score of a plan's free numbers, from the deficits of its margins over draws of the belief, without physics.
 
 A margin has an aim. Its deficit is the amount by which it falls short of the aim, in units that make margins
 comparable.
@@ -62,7 +62,7 @@ MANOEUVRE = "manoeuvre"  # first word of paths outside the plan table
 
 
 class MarginAim(NamedTuple):
-    """Least value that a margin should have in some stages."""
+    """Least value that a margin should have in stages that match a pattern."""
 
     margin: str
     stages: str  # pattern of their names
@@ -70,7 +70,7 @@ class MarginAim(NamedTuple):
 
 
 class PlanScore:
-    """Margins of a plan, and their deficits, as functions of its free numbers and of draws of the belief.
+    """Margins of a plan and their deficits, as functions of its free numbers and of draws of the belief.
 
     The worst phases of every stage count. A plan on a ball is played by its tracker. Other plans are posed by inverse
     kinematics at evenly spaced phases of a stage. Their number is that of the last pattern in `moments` that matches
@@ -133,7 +133,7 @@ class PlanScore:
         self._deficit_gradients = jax.jit(jax.vmap(jax.value_and_grad(self._squared_deficit), (None, 0)))
 
     def margins(self, numbers: np.ndarray, draws: Case) -> dict[str, np.ndarray]:
-        """Return the least margins of every stage.
+        """Return the least margins of each stage for each draw.
 
         Args:
             numbers: Free numbers (free,); (draws or 1, free); or up to `width` sets of them (sets, draws or 1, free).
@@ -158,7 +158,7 @@ class PlanScore:
         return np.sum(np.clip(np.nan_to_num(self.deficits(margins)).max(axis=-2), 0.0, MAX_DEFICIT) ** 2, axis=-1)
 
     def deficits(self, margins: Mapping[str, Any]) -> Any:
-        """Return the deficits of all margins that have an aim.
+        """Return by how much margins fall short of their aims.
 
         Args:
             margins: Margins (..., stages) by name.
@@ -172,7 +172,7 @@ class PlanScore:
                                 for key, aim in aims.items() if np.isfinite(aim).any()], axis=-1)  # fmt: skip
 
     def cap_aims(self, numbers: np.ndarray, draws: Case) -> None:
-        """Lower all aims to the margins that some numbers reach in the first draw, less a tolerance.
+        """Lower all aims to the margins that given numbers reach in the first draw, less a tolerance.
 
         Args:
             numbers: Free numbers (free,).
@@ -182,7 +182,7 @@ class PlanScore:
         self._caps = {key: value[0] - CAP_TOLERANCE * SCALES.get(key, DEFAULT_SCALE) for key, value in reached.items()}
 
     def deficit_gradients(self, numbers: np.ndarray, draws: Case) -> tuple[np.ndarray, np.ndarray]:
-        """Return the summed squared deficits of every draw and their gradients.
+        """Return the summed squared deficits of each draw and their gradients.
 
         Args:
             numbers: Free numbers (free,).
@@ -234,7 +234,7 @@ class PlanScore:
         return jnp.sum(jnp.where(counts, deficit, 0.0) ** 2)
 
     def aim_values(self, margin: str) -> np.ndarray:
-        """Return the aim (stages,) of a margin in every stage: the last that matches, or minus infinity."""
+        """Return the aim (stages,) for a margin in every stage: the last matching aim, or minus infinity."""
         values = np.full(len(self.stages), -np.inf)
         for aim in self.aims:
             if aim.margin == margin:
@@ -304,7 +304,7 @@ def _nan_to_worst(margin: Any) -> jax.Array:
 
 
 def local_minima(margin: jax.Array) -> jax.Array:
-    """Keep margins (stages, phases) that are local minima over the phases, the last of equal ones.
+    """Keep those margins (stages, phases) that are local minima over the phases.
 
     All others become infinite.
     """
@@ -325,7 +325,7 @@ def _map_draws(function: Callable[..., Any], numbers: np.ndarray, draws: Case) -
 
 
 def with_plan_number(case: Case, path: str, value: Any, formulas: Mapping[str, float]) -> Case:
-    """Return a case with another value of one number of its plan.
+    """Return a case in which one number of the plan is replaced.
 
     Args:
         case: The case.
@@ -340,7 +340,7 @@ def with_plan_number(case: Case, path: str, value: Any, formulas: Mapping[str, f
 
 
 def with_draw_axis(belief: Case, count: int) -> Case:
-    """Return a belief whose leaves all have a leading axis of draws.
+    """Return a belief whose leaves all have a leading axis of `count` draws.
 
     Args:
         belief: The belief, whose leaves are numbers or arrays (count,).
@@ -350,7 +350,7 @@ def with_draw_axis(belief: Case, count: int) -> Case:
 
 
 def relative_changes(belief: Case, sizes: Mapping[str, float]) -> np.ndarray:
-    """Return by which share the sizes of each draw differ from reference sizes.
+    """Return the relative differences of each draw's sizes from reference sizes.
 
     Args:
         belief: The belief, with arrays (draws,) as varied leaves.
@@ -364,6 +364,6 @@ def relative_changes(belief: Case, sizes: Mapping[str, float]) -> np.ndarray:
 
 
 def least_margins(margins: Mapping[str, np.ndarray]) -> dict[str, float]:
-    """Return the least value of each margin over draws and stages, of the margins that are finite."""
+    """Return the least finite value of each margin over draws and stages."""
     least = {key: float(np.min(value)) for key, value in margins.items()}
     return {key: value for key, value in least.items() if np.isfinite(value)}

@@ -1,4 +1,4 @@
-"""Checks that refuse impossible plans before compilation, if parameters are plain numbers."""
+"""Checks that reject impossible plans before compilation, if parameters are plain numbers."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -17,12 +17,12 @@ from sweep.models.posture import Stance, joint_targets
 
 
 def are_plain_numbers(*parts: Any) -> bool:
-    """Return whether all leaves are plain floats; those of traced or batched rollouts are not."""
+    """Return whether all leaves of some trees are plain floats, unlike those of traced or batched rollouts."""
     return all(isinstance(x, float) for x in jax.tree.leaves(parts))
 
 
 def stances_at_stage_ends(plan: Plan, free: FreeState) -> dict[str, Stance]:
-    """Return the stances at the ends of a plan's stages, with a phrase for messages as key.
+    """Return the stances at the ends of a plan's stages, by a phrase that names the stage in messages.
 
     Args:
         plan: the plan.
@@ -33,7 +33,7 @@ def stances_at_stage_ends(plan: Plan, free: FreeState) -> dict[str, Stance]:
 
 
 def require_within_reach(belief: Case, stances: Callable[[], Mapping[str, Stance]], prefix: str = "") -> None:
-    """Check that all feet are within reach in given stances, if the belief is made of plain numbers.
+    """Raise an error unless all feet are within reach in given stances; only for plain numbers.
 
     Args:
         belief: believed parameters.

@@ -1,4 +1,4 @@
-"""Draw frames with MuJoCo in a process of its own: `python -m sweep.replay.draw JOB` writes raw RGB to stdout.
+"""Drawing of trace frames by MuJoCo in a separate process: `python -m sweep.replay.draw JOB` writes raw RGB to stdout.
 
 The OpenGL library is chosen when `mujoco` is imported, and importing it with a missing one fails, so the process that
 draws must not be the one that simulates. It imports nothing that imports `mujoco`.
@@ -18,7 +18,7 @@ ARROW_RGBA = np.array([*FORCE_COLOR, 1.0], np.float32)
 
 
 def draw_job(job: Path) -> int:
-    """Draw the frames of the folder `job`, which has a model and arrays; return the exit status."""
+    """Draw the frames described in the folder `job` (a model and arrays); return the exit status."""
     try:
         import mujoco
 
@@ -33,7 +33,7 @@ def draw_job(job: Path) -> int:
 
 
 def draw_frames(model: Any, arrays: dict[str, np.ndarray]) -> None:
-    """Draw frames and write each to stdout as (height, width, 3) bytes.
+    """Draw frames and write each to stdout as bytes of shape (height, width, 3).
 
     Shadows are left out: they flicker, and take more time than all the rest.
 

@@ -1,4 +1,4 @@
-"""Height fields of a MuJoCo model with few enough points to be drawn."""
+"""Height fields of a MuJoCo model, sampled with few enough points for drawing."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ MOST_POINTS = 48  # along each side
 
 
 class HeightGrid(NamedTuple):
-    """A part of a height field in the axes of its geom, m."""
+    """A part of a height field as a grid of heights, in the axes of its geom (m)."""
 
     x: np.ndarray  # (columns,)
     y: np.ndarray  # (rows,)
@@ -20,7 +20,7 @@ class HeightGrid(NamedTuple):
 def sample_height_field(
     model: mujoco.MjModel, geom: int, way: np.ndarray | None = None, most: int = MOST_POINTS
 ) -> HeightGrid:
-    """Sample the height field of a geom, around a way or as a whole.
+    """Sample the height field of a geom along the robot's way, or as a whole.
 
     Args:
         model: The MuJoCo model.

@@ -1,4 +1,4 @@
-"""Convex hulls of ellipsoids and meshes, with few enough faces to be redrawn many times a second."""
+"""Convex hulls of ellipsoids and meshes with few enough faces for fast drawing."""
 
 import mujoco
 import numpy as np

@@ -1,4 +1,5 @@
-"""Write a trace as an MCAP file for Foxglove: robot, contact forces, joints, loads, stages, outcome, configuration."""
+"""Export of a trace as an MCAP file for Foxglove: robot, contact forces, joints, loads, stages, outcome,
+configuration."""
 
 import json
 import math

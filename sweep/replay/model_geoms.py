@@ -1,4 +1,4 @@
-"""Names, motion and colours of the bodies and geoms of a MuJoCo model, as all pictures show them."""
+"""Names, motion and colours of bodies and geoms of a MuJoCo model, shared by all pictures."""
 
 import mujoco
 import numpy as np

@@ -1,4 +1,4 @@
-"""Encode a rollout for the report's page: bodies and geoms once, and its states as a short text.
+"""Encoding of a rollout's motion for the HTML page: bodies and geoms once, states as compressed text.
 
 `page/kinematics.js` reads both. The states are a stream of F frames with these columns: MuJoCo's `qpos`, the forces of
 the feet, the stage, the torques of the joints, the margin and the index of its limit in `limits`, and the share of
@@ -84,7 +84,7 @@ def encode_motion(trace: Trace) -> dict[str, Any]:
 
 
 def thin_motion(motion: dict[str, Any], every: int) -> dict[str, Any]:
-    """Keep one in `every` frames of an encoded motion, and at least one frame.
+    """Keep every `every`-th frame of an encoded motion.
 
     The page interpolates between frames by a cubic.
 
@@ -107,12 +107,12 @@ def thin_motion(motion: dict[str, Any], every: int) -> dict[str, Any]:
 
 
 def encode_states(states: np.ndarray, small: np.ndarray) -> str:
-    """Encode two-byte and one-byte whole numbers, each (F, K), as text."""
+    """Encode states, two-byte and one-byte integers (F, K) each, as text."""
     return encode_text(encode_byte_planes(states) + encode_byte_planes(small))
 
 
 def encode_byte_planes(values: np.ndarray) -> bytes:
-    """Encode whole numbers (F, K) as differences from row to row, column by column, low bytes before high bytes."""
+    """Encode integers (F, K) as row-to-row differences, column by column, low bytes before high bytes."""
     change = np.diff(values, axis=0, prepend=np.zeros_like(values[:1])).T  # wraps around, and back when it is summed
     size = values.dtype.itemsize
     return (
@@ -126,7 +126,7 @@ def encode_byte_planes(values: np.ndarray) -> bytes:
 
 
 def decode_byte_planes(content: bytes, frames: int, kind: np.dtype) -> np.ndarray:
-    """Decode the whole numbers (frames, K) of the type `kind` from `encode_byte_planes`."""
+    """Decode integers (frames, K) of type `kind` from `encode_byte_planes`."""
     size = kind.itemsize
     change = np.frombuffer(content, np.uint8).reshape(-1, size, frames).transpose(0, 2, 1)
     change = np.ascontiguousarray(change).view(f"<i{size}")[..., 0]
@@ -134,7 +134,7 @@ def decode_byte_planes(content: bytes, frames: int, kind: np.dtype) -> np.ndarra
 
 
 def qpos_resolution(model: mujoco.MjModel) -> np.ndarray:
-    """Return the finest resolution (nq,) with which each coordinate of `qpos` is encoded."""
+    """Return the smallest step (nq,) in which each coordinate of `qpos` is encoded."""
     fine = np.full(model.nq, QPOS_RESOLUTION)
     for joint in range(model.njnt):
         turned = {int(mujoco.mjtJoint.mjJNT_FREE): 3, int(mujoco.mjtJoint.mjJNT_BALL): 0}.get(model.jnt_type[joint])
@@ -214,7 +214,7 @@ def describe_joint(model: mujoco.MjModel, number: int) -> list[float]:
 
 
 def describe_geom_shape(model: mujoco.MjModel, geom: int, way: np.ndarray | None = None) -> dict[str, Any]:
-    """Describe shape and size of a geom; a geom that the page has no shape for is described by its convex hull.
+    """Describe shape and size of a geom for the page; geoms without a shape on the page by their convex hull.
 
     Args:
         model: The MuJoCo model.
@@ -231,7 +231,7 @@ def describe_geom_shape(model: mujoco.MjModel, geom: int, way: np.ndarray | None
 
 
 def describe_height_field(model: mujoco.MjModel, geom: int, way: np.ndarray | None) -> dict[str, Any]:
-    """Describe a height field that does not move by coordinates and heights of its points.
+    """Describe a fixed height field by the coordinates and heights of its points.
 
     Args:
         model: The MuJoCo model.

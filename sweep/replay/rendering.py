@@ -1,4 +1,4 @@
-"""Render a trace with MuJoCo, without a screen: PNG pictures and MP4 videos."""
+"""Offscreen rendering of traces with MuJoCo: PNG pictures and MP4 videos."""
 
 import importlib.util
 import itertools
@@ -71,7 +71,7 @@ def format_caption(trace: Trace, k: int, outcome: str = "", title: str = "") -> 
 
 
 def outcome_at_frame(trace: Trace, k: int, outcome: str) -> str:
-    """Return the outcome for frames that show it, and an empty text before.
+    """Return the outcome as caption text for frames at or after its time; empty before.
 
     The outcome is shown from the time of its cause on, or in the last frame if there is none.
 
@@ -94,7 +94,7 @@ def add_caption(picture: np.ndarray, text: str) -> np.ndarray:
 
 
 def write_strip(path: str | Path, trace: Trace, frames: np.ndarray, outcome: str = "") -> None:
-    """Write pictures of some frames side by side, at most `PICTURES_PER_ROW` in a row.
+    """Write pictures of some frames into one image, at most `PICTURES_PER_ROW` in a row.
 
     Args:
         path: The file, a PNG.
@@ -176,7 +176,7 @@ def require_ffmpeg() -> None:
 
 
 def render(trace: Trace, frames: np.ndarray, samples: int = STILL_SAMPLES) -> Generator[np.ndarray, None, None]:
-    """Yield pictures (height, width, 3), uint8, of some frames of a trace.
+    """Yield a picture (height, width, 3), uint8, of each given frame of a trace.
 
     The camera follows the base; contact forces are drawn as arrows.
 

@@ -21,7 +21,7 @@ from sweep.study.study import parameter_columns
 
 @dataclass(frozen=True)
 class Replay:
-    """A stored rollout and its replay."""
+    """A stored rollout together with its trace from simulating it again."""
 
     stored: pd.Series  # row of the stored rollout
     again: Mapping[str, Any]  # metrics and outcome of the new rollout
@@ -74,7 +74,7 @@ def state_table(system: System, trace: Trace) -> pd.DataFrame:
 
 
 def format_comparison(result: Replay) -> str:
-    """Return a text with the stored outcome beside the new one, and all metrics that differ."""
+    """Return a text that compares the stored outcome with the new one, and lists all metrics that differ."""
     stored, again = result.stored, result.again
     figures = [name for name in result.trace.metrics if name in stored]
     changed = [name for name in figures if not same_bits(stored[name], again[name])]

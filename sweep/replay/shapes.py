@@ -1,4 +1,4 @@
-"""Convert the geoms of a MuJoCo model to Foxglove primitives."""
+"""Conversion of the geoms of a MuJoCo model to Foxglove primitives."""
 
 import mujoco
 import numpy as np

@@ -1,4 +1,4 @@
-"""Analytic limits (`study.theory`) as curves over maps."""
+"""Analytic limits of a study (`study.theory`) as curves over its maps."""
 
 import pandas as pd
 from matplotlib.axes import Axes
@@ -12,7 +12,8 @@ LINE_STYLES = ("--", "-.", ":")
 
 
 def limit_curve(theory: AnalyticLimit, exp: Experiment, rows: pd.DataFrame, along: str) -> pd.DataFrame:
-    """Analytic limit at each value of the column `along`: columns `along` and `limit`, nan where there is none.
+    """Return the analytic limit at each value of the column `along`, as columns `along` and `limit`; NaN where there is
+    none.
 
     A parameter that the theory names has the value of the rows there where they agree on one, else the nominal value.
     """
@@ -43,5 +44,5 @@ def draw_limits(ax: Axes, exp: Experiment, rows: pd.DataFrame, x: str, y: str, c
 
 
 def measured_metrics(exp: Experiment, rows: pd.DataFrame) -> list[str]:
-    """Metrics to map beside the outcomes: the measured quantities that have analytic limits."""
+    """Return the metrics that measure the quantities of the analytic limits, to be mapped beside the outcomes."""
     return list(dict.fromkeys(theory.measured for theory in exp.study.theory if theory.measured in rows))

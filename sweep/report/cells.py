@@ -1,4 +1,4 @@
-"""Cells of a map over two parameters, whose values may be unevenly spaced or names."""
+"""Grid cells of a map over two parameters, whose values may be unevenly spaced, or names."""
 
 from typing import NamedTuple
 
@@ -25,7 +25,7 @@ class MapCells(NamedTuple):
 
 
 def lay_out_cells(rows: pd.DataFrame, x: str, y: str) -> tuple[pd.DataFrame, MapCells]:
-    """Lay rows out over two parameters, of numbers or of names.
+    """Arrange rows in grid cells over two parameters, of numbers or names.
 
     Args:
         rows: rows of a study.
@@ -48,13 +48,13 @@ def lay_out_cells(rows: pd.DataFrame, x: str, y: str) -> tuple[pd.DataFrame, Map
 
 
 def evenly_spaced(values: np.ndarray) -> bool:
-    """Whether values are even enough to draw cells that reach half-way to their neighbours."""
+    """Return whether values are even enough that cells can reach half-way to their neighbours."""
     gaps = np.diff(values)
     return len(gaps) == 0 or float(gaps.max()) < 3 * float(gaps.min())
 
 
 def cell_edges(values: np.ndarray) -> np.ndarray:
-    """Borders of cells: half-way between values, or of equal width where the values are uneven."""
+    """Return the borders of cells: half-way between values, or of equal width for uneven values."""
     if not evenly_spaced(values):
         return np.arange(len(values) + 1) - 0.5
     half = np.diff(values) / 2 if len(values) > 1 else np.array([0.5 * abs(values[0]) or 0.5])
@@ -65,7 +65,7 @@ def cell_edges(values: np.ndarray) -> np.ndarray:
 
 
 def end_axes_at_zero(ax: Axes) -> None:
-    """End both axes at zero if no value is negative: a friction of -0.05 makes no sense."""
+    """Limit both axes of a plot to non-negative values if no value is negative."""
     for low, start, set_limit in (
         (ax.dataLim.x0, ax.get_xlim()[0], ax.set_xlim),
         (ax.dataLim.y0, ax.get_ylim()[0], ax.set_ylim),
@@ -75,7 +75,7 @@ def end_axes_at_zero(ax: Axes) -> None:
 
 
 def label_axis_values(ax: Axes, cells: MapCells) -> None:
-    """Label the values of uneven axes, and names, cell by cell."""
+    """Put a tick label at each cell, for axes with uneven values or names."""
     for axis, values, names in ((ax.xaxis, cells.x, cells.x_names), (ax.yaxis, cells.y, cells.y_names)):
         if names:
             axis.set_ticks(values, [name.replace("_", " ") for name in names])
@@ -95,7 +95,7 @@ def format_number(value: float, size: int = 4) -> str:
 
 
 def axis_places(numbers: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Positions of numbers along an axis with cells of `values`; NaN for numbers that it has no cell for."""
+    """Return the positions of numbers along an axis with cells of `values`; NaN for numbers without a cell."""
     if evenly_spaced(values):
         return numbers
     return np.interp(numbers, values, np.arange(len(values)), left=np.nan, right=np.nan)

@@ -55,7 +55,8 @@ def comparison_text(
 
 
 def first_difference_text(a: Path, b: Path, share: float) -> str:
-    """Say where the time series of two folders first differ; empty unless both folders keep some of the same columns.
+    """Describe where the time series stored in two folders first differ; empty unless both have some of the same
+    columns.
 
     Args:
         a: Reference folder.
@@ -84,12 +85,12 @@ def first_difference_text(a: Path, b: Path, share: float) -> str:
 
 
 def name_pair_columns(pairs: pd.DataFrame) -> str:
-    """Name the columns by which rows were paired, if they were chosen automatically; else empty."""
+    """Describe the columns by which rows were paired, if they were chosen automatically; else empty."""
     return f" of equal {', '.join(pairs.attrs['by'])}" if pairs.attrs["by"] else ""
 
 
 def find_parameter(pairs: pd.DataFrame, name: str) -> str:
-    """Find the parameter that a user means. Raises `InputError` where it is another column."""
+    """Return the parameter column that a user names. Raises `InputError` for other columns."""
     found = find_column(pairs, name)
     if found not in (allowed := compare.varied_axes(pairs)):
         raise InputError(f"{name} is not a parameter{suggest(name, allowed)}")
@@ -97,12 +98,12 @@ def find_parameter(pairs: pd.DataFrame, name: str) -> str:
 
 
 def default_regions(pairs: pd.DataFrame) -> list[str]:
-    """The first two varied numeric parameters, which divide pairs into regions."""
+    """Return the first two varied numeric parameters, by which pairs are divided into regions."""
     return [c for c in compare.varied_axes(pairs) if pairs[c].dtype.kind in "fi" and pairs[c].nunique() > 1][:2]
 
 
 def find_violations(pairs: pd.DataFrame, a: int, tolerance: float, figures: float | None) -> list[str]:
-    """List the differences beyond the user's tolerance, a line each.
+    """List the differences that exceed the user's tolerance, one line each.
 
     Args:
         pairs: paired rows, see `compare.pair`.

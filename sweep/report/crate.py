@@ -1,4 +1,4 @@
-"""Export a study as a Process Run Crate (an RO-Crate): rows, plan, configuration, pictures."""
+"""Export of a study as a Process Run Crate (an RO-Crate): rows, plan, configuration, pictures."""
 
 import contextlib
 import io
@@ -86,7 +86,7 @@ def write_crate(results: Results, out: Path, license_: str, zipped: bool, author
 
 
 def describe_study(crate: "ROCrate", results: Results, license_: str, author: str) -> None:
-    """Add to a crate the files of a study, the program that made them, and how it was run."""
+    """Add to a crate the files of a study, the program that produced them, and the record of its run."""
     from rocrate.model.contextentity import ContextEntity
     from rocrate.model.person import Person
     from rocrate.model.softwareapplication import SoftwareApplication
@@ -143,7 +143,7 @@ def describe_study(crate: "ROCrate", results: Results, license_: str, author: st
 
 
 def list_stored_files(folder: Path) -> Iterator[str]:
-    """List files of a study's folder that belong to the study, apart from its plan and configuration."""
+    """List the files of a study's folder that belong to the study, except its plan and configuration."""
     yield manifest.MANIFEST_FILE
     if path_inside_folder(folder, store.LOG_FILE).exists():
         yield store.LOG_FILE
@@ -151,7 +151,7 @@ def list_stored_files(folder: Path) -> Iterator[str]:
 
 
 def describe_file(name: str, meaning: str = "") -> dict[str, Any]:
-    """Name, meaning and media type of a file for a crate."""
+    """Return name, meaning and media type of a file, as a crate records them."""
     kind = {".parquet": "application/vnd.apache.parquet", ".yaml": "application/yaml"}.get(Path(name).suffix)
     other = "finished rows" if name.endswith(".parquet") else f"picture of the study, {name}"
     form = kind or mimetypes.guess_type(name)[0] or "text/plain"
@@ -160,7 +160,7 @@ def describe_file(name: str, meaning: str = "") -> dict[str, Any]:
 
 @contextlib.contextmanager
 def unpack_crate(path: Path) -> Iterator[Path]:
-    """Yield the folder of a crate; an archive is unpacked for the time of this context, and nothing in it is imported.
+    """Context that yields the folder of a crate, temporarily unpacked if it is an archive; imports nothing in it.
 
     Args:
         path: A crate, a folder or a ZIP archive, which may come from a stranger.
@@ -184,7 +184,7 @@ def unpack_crate(path: Path) -> Iterator[Path]:
 
 
 def unpack_archive(path: Path, to: Path) -> None:
-    """Unpack a ZIP archive that may come from a stranger.
+    """Unpack a ZIP archive that may be untrusted.
 
     Args:
         path: The archive.
@@ -221,7 +221,7 @@ def unpack_archive(path: Path, to: Path) -> None:
 
 
 def list_code_files(crate: Path) -> list[str]:
-    """List what a crate would have Python import or a runtime execute, without importing anything.
+    """List files of a crate that Python would import or a runtime would execute, without importing anything.
 
     Args:
         crate: Folder of the crate.
@@ -251,7 +251,7 @@ def list_code_files(crate: Path) -> list[str]:
 
 
 def list_controllers(config: Mapping[str, Any]) -> list[str]:
-    """List the controllers that a stored configuration names: of its scenario, and in values of its axes."""
+    """List the controllers that a stored configuration names, in its scenario and in values of its axes."""
     model, study = config.get("model"), config.get("study")
     axes = study.get("axes") if isinstance(study, Mapping) else None
     named = [model.get("controller")] if isinstance(model, Mapping) else []
@@ -263,6 +263,7 @@ def list_controllers(config: Mapping[str, Any]) -> list[str]:
 
 
 def use_crate_project(crate: Path) -> contextlib.AbstractContextManager[None]:
-    """Make the project of a crate the current one, whose modules can be imported; else keep the present one."""
+    """Make the project in a crate the current one, so that its modules can be imported; keep the present project if it
+    has none."""
     place = path_inside_folder(crate, PROJECT_FOLDER)
     return project.trust_project(place) if place.is_dir() else contextlib.nullcontext()

@@ -1,4 +1,4 @@
-"""The overview of a study of draws: all draws as lines, which parameters matter, and margins to failure.
+"""Overview figure of a study of random draws: all draws as lines, the importance of parameters, and margins to failure.
 
 Lines and dots are one raster image inside the figure, of a sample where there are many, so that a million draws take as
 much space as twelve.
@@ -33,17 +33,17 @@ MARGIN_COLUMN = "margin"  # column: how far a rollout stayed from its nearest li
 
 
 def has_draws_figure(results: Results) -> bool:
-    """Whether the study draws numbers, and lists fewer than the two that a map needs."""
+    """Return whether the study draws parameters at random and lists fewer than the two that a map needs."""
     return bool(drawn_columns(results)) and len(results.listed_numeric_columns) < 2
 
 
 def drawn_columns(results: Results) -> list[str]:
-    """Columns of the randomly drawn parameters."""
+    """Return the columns of randomly drawn parameters."""
     return [a.column for a in sensitivity.numeric_axes(results.rows, sensitivity.drawn_axes(results.rows, results.exp))]
 
 
 def draws_figure(results: Results) -> Iterator[StudyFigure]:
-    """Yield the overview of a study of draws; its data have a row for each rollout."""
+    """Yield the overview figure of a study of draws; its data have a row for each rollout."""
     if not has_draws_figure(results):
         return
     columns, size = drawn_columns(results), len(results.rows)
@@ -64,7 +64,7 @@ def draws_figure(results: Results) -> Iterator[StudyFigure]:
 
 
 def rows_by_kind(rows: pd.DataFrame, columns: Sequence[str]) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Yield the successes, then each cause, the most frequent first, so that rarer ones are drawn on top.
+    """Yield the rows of successes, then of each cause, the most frequent first, so that rarer ones are drawn on top.
 
     Args:
         rows: rows of a study.
@@ -102,7 +102,7 @@ def draw_overview(results: Results) -> Figure:
 
 
 def draw_parallel_axes(ax: Axes, results: Results, columns: list[str]) -> None:
-    """Draw a line for each rollout from parameter to parameter."""
+    """Draw a parallel-coordinates plot: a line for each rollout across the parameter axes."""
     values = results.rows[columns].to_numpy(dtype=float)
     low, high = values.min(axis=0), values.max(axis=0)
     places = np.arange(len(columns))
@@ -137,7 +137,7 @@ def draw_importance_ranking(ax: Axes, ranked: pd.DataFrame, results: Results) ->
 
 
 def scatter_over_two_parameters(ax: Axes, results: Results, columns: list[str]) -> None:
-    """Scatter the rollouts over the two most important parameters, or a single one by outcome."""
+    """Scatter the rollouts over the two most important parameters; over one parameter, by outcome."""
     every = list(rows_by_kind(results.rows, columns[:2]))
     for place, (kind, part) in enumerate(every):
         x = part[columns[0]]
@@ -162,7 +162,7 @@ def draw_margins(ax: Axes, results: Results, column: str) -> None:
 
 
 def draw_dots(ax: Axes, x: pd.Series, y: pd.Series, kind: str, total: int) -> None:
-    """Draw a share of the rollouts of a kind, so that at most `MAX_DOTS` are drawn in all.
+    """Draw a random part of the rollouts of a kind, so that at most `MAX_DOTS` dots are drawn in total.
 
     More rollouts get smaller dots.
     """

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 @dataclass(frozen=True)
 class StudyFigure:
-    """A plot with its caption and data; the page and the paper draw it when they need it."""
+    """A plot of a study with its caption and the numbers that it shows, drawn when page or paper needs it."""
 
     key: str  # for file names and anchors
     title: str

@@ -75,7 +75,7 @@ def map_figures(results: Results) -> Iterator[StudyFigure]:
 
 
 def count_invalid(rows: pd.DataFrame, where: str) -> str:
-    """Say how many of the rows are invalid; empty if none is."""
+    """Describe how many of the rows are invalid; empty if none is."""
     found = success_rate(rows["outcome"])
     if not found.invalid:
         return ""
@@ -85,7 +85,7 @@ def count_invalid(rows: pd.DataFrame, where: str) -> str:
 
 
 def summarize_audit(results: Results) -> str:
-    """Say how often audited rollouts ended differently when they were simulated again."""
+    """Describe how many audited rollouts ended differently when simulated again."""
     text = ""
     for drawn, table in audit.flip_table(results).groupby("drawn", sort=False):
         ways = [
@@ -98,7 +98,8 @@ def summarize_audit(results: Results) -> str:
 
 
 def effects_figure(results: Results) -> Iterator[StudyFigure]:
-    """Yield the success rate along each parameter, unless earlier rows decided where rollouts were placed."""
+    """Yield the figure of success rates along each parameter; nothing for studies in which earlier rows decided later
+    points."""
     if results.exp.study.is_sequential:
         return
     by = [c for c in results.categorical_columns if count_distinct(results.rows[c], MAX_LINES) <= MAX_LINES][:1]
@@ -308,13 +309,13 @@ def _span(values: pd.Series) -> tuple[float, float]:
 
 
 def metric_thresholds(results: Results) -> dict[str, float]:
-    """Threshold of each metric that has one."""
+    """Return the thresholds by metric, for metrics that have one."""
     given = results.exp.system.thresholds(results.exp.thresholds)
     return {name: value for name, value in given.items() if name in results.rows}
 
 
 def metrics_with_threshold_first(results: Results) -> list[str]:
-    """Metrics that differ between rollouts, those with a threshold first."""
+    """Return the metrics that differ between rollouts, those with a threshold first."""
     judged, silent = metric_thresholds(results), results.exp.system.bookkeeping_metrics
     names = [c for c in metric_columns(results.rows) if c not in silent and results.rows[c].dtype.kind == "f"]
     names = [c for c in names if results.rows[c].max() > results.rows[c].min()]

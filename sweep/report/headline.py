@@ -1,4 +1,4 @@
-"""The result of a study in one sentence: its rate of success, or the probability of failure that it searched for."""
+"""One sentence with the main result of a study: its success rate, or the failure probability that it searched for."""
 
 import numpy as np
 import pandas as pd
@@ -13,7 +13,7 @@ from sweep.core.errors import InputError, escape_control_characters
 
 
 def study_headline(rows: pd.DataFrame, exp: Experiment) -> str:
-    """State the result of a study.
+    """State the main result of a study in a sentence.
 
     Args:
         rows: finished rows of the study, all of them or some.
@@ -29,7 +29,7 @@ def study_headline(rows: pd.DataFrame, exp: Experiment) -> str:
 
 
 def describe_main_failure(rows: pd.DataFrame, exp: Experiment) -> str:
-    """Name what fails most: the most frequent cause, or the largest mode of a study that searches for failures.
+    """Describe the most frequent failure: the most common cause, or the largest failure mode of an adaptive study.
 
     Args:
         rows: Finished rows of the study.
@@ -60,7 +60,7 @@ def describe_sample_size(rows: pd.DataFrame, exp: Experiment) -> str:
 
 
 def probability_of_failure(rows: pd.DataFrame, exp: Experiment) -> str:
-    """P(failure) of a study that searches for failures, with its 95 % interval, or why it is unknown."""
+    """State the failure probability of an adaptive study with its 95 % interval, or why it is unknown."""
     try:
         found = rare.estimate_failure_probability(rows, exp)
     except InputError as error:
@@ -76,6 +76,6 @@ def probability_of_failure(rows: pd.DataFrame, exp: Experiment) -> str:
 
 
 def describe_placed_rollouts(rows: pd.DataFrame) -> str:
-    """State how many rollouts an adaptive search has placed and how many failed; a count, not a rate."""
+    """State how many rollouts an adaptive search has placed and how many of them failed."""
     failed, invalid = (int((rows["outcome"] == kind).sum()) for kind in ("failure", "invalid"))
     return f"{len(rows):,} rollouts placed where failures are expected, of which {failed:,} failed, {invalid:,} invalid"

@@ -1,4 +1,4 @@
-"""Labels and units of columns."""
+"""Labels and units of result columns, for readers."""
 
 import re
 from collections import Counter
@@ -22,7 +22,7 @@ READABLE_UNITS = {end: format_unit(unit) for end, unit in UNIT_BY_SUFFIX.items()
 
 
 def outcome_kind(rows: pd.DataFrame) -> pd.Series:
-    """Kind of each row: `success`, `invalid`, or the name of the cause."""
+    """Return the kind of each row: `success`, `invalid`, or the name of its failure cause."""
     cause = rows["cause"] if rows["cause"].dtype == "str" else rows["cause"].astype(object)
     return cause.where(rows["outcome"] != SUCCESS, SUCCESS).astype(str)
 
@@ -34,7 +34,7 @@ def kind_meaning(kind: str, exp: Experiment) -> str:
 
 
 def name_and_unit(column: str) -> tuple[str, str]:
-    """`slip_max_m` -> (`slip max`, `m`); the unit is empty where the column has none."""
+    """Split a metric's column into words and unit: `slip_max_m` -> (`slip max`, `m`); the unit may be empty."""
     head, _, last = column.rpartition("_")
     return (
         (head.replace("_", " "), READABLE_UNITS[last])
@@ -44,7 +44,7 @@ def name_and_unit(column: str) -> tuple[str, str]:
 
 
 def axis_words(column: str, exp: Experiment | None = None) -> str:
-    """Label of a parameter's column, without its unit.
+    """Return the label of a parameter's column, without its unit.
 
     Args:
         column: such as `world.contact.friction`.
@@ -59,14 +59,15 @@ def axis_words(column: str, exp: Experiment | None = None) -> str:
 
 
 def path_label(column: str, parts: int = 1) -> str:
-    """Last `parts` of a parameter's path as words: `world.contact.friction` -> `friction (world)`."""
+    """Return the last `parts` of a parameter's path as a label: `world.contact.friction` -> `friction (world)`."""
     side, path = split_side_prefix(column)
     words = " ".join(path.removesuffix(".name").split(".")[-parts:]).replace("_", " ")
     return words if side == "both" else f"{words} ({side})"
 
 
 def axis_name_label(axis: Axis) -> str:
-    """Label of an axis: its name, what its numbers mean if they are not values of its path, and its side."""
+    """Return the label of a study axis: its name, the meaning of its numbers if they are no parameter values, and its
+    side."""
     words = axis.name.replace("_", " ")
     if axis.path and axis.times:
         words = f"{words} / {path_label(axis.times)}"
@@ -77,7 +78,7 @@ def axis_name_label(axis: Axis) -> str:
 
 
 def unique_labels(columns: Iterable[str], exp: Experiment | None = None) -> dict[str, str]:
-    """Distinct labels, without units, for the columns of one table.
+    """Return distinct labels, without units, for the columns of one table.
 
     Args:
         columns: parameters, figures and labels, as rows have them.
@@ -99,14 +100,15 @@ def unique_labels(columns: Iterable[str], exp: Experiment | None = None) -> dict
 
 
 def unique_headings(columns: Iterable[str], exp: Experiment | None = None) -> dict[str, str]:
-    """Distinct headings, with units, for the columns of one table, see `unique_labels`."""
+    """Return distinct headings, with units, for the columns of one table."""
     words = unique_labels(columns, exp)
     units = {column: label_and_unit(column, exp)[1] for column in words}
     return {column: f"{text} [{units[column]}]" if units[column] else text for column, text in words.items()}
 
 
 def hover_text(column: str, exp: Experiment) -> str:
-    """Text shown on hover: a parameter's column and unit; empty for other columns."""
+    """Return the text shown when the mouse is over a column: a parameter's full name and unit; empty for other
+    columns."""
     if "." not in column:
         return ""
     unit = column_unit(column, exp)
@@ -114,7 +116,7 @@ def hover_text(column: str, exp: Experiment) -> str:
 
 
 def label_with_value(column: str, value: object, exp: Experiment | None = None) -> str:
-    """`obstacle.mass` at 50.0 -> `mass 50 kg`."""
+    """Format a parameter with a value: `obstacle.mass` at 50.0 -> `mass 50 kg`."""
     shown = f"{value:.4g}" if isinstance(value, float) else shorten_files([str(value)])[0]
     unit_there = column_unit(column, exp) if exp else ""
     return " ".join(part for part in (axis_words(column, exp), shown, unit_there) if part)
@@ -128,12 +130,12 @@ def shorten_files(names: Sequence[str]) -> list[str]:
 
 
 def axis_title(column: str, exp: Experiment | None = None) -> str:
-    """Heading of a column beside an axis of a figure; `c1` and `a_r` get an index."""
+    """Return the title of a plot axis for a column; parameters such as `c1` and `a_r` get a subscript."""
     return re.sub(r"\b([a-z])(?:(\d)|_(\w))\b", r"$\1_\2\3$", heading(column, exp))
 
 
 def column_unit(column: str, exp: Experiment) -> str:
-    """Unit of a column as shown to readers.
+    """Return the unit of a column as shown to readers.
 
     Args:
         column: a parameter, whose unit is its own, or a metric, whose unit is at the end of its name.
@@ -148,13 +150,14 @@ def column_unit(column: str, exp: Experiment) -> str:
 
 
 def heading(column: str, exp: Experiment | None = None) -> str:
-    """Label with unit, for a table or beside an axis. Without `exp`, units of parameters are unknown."""
+    """Return the label of a column with its unit, for a table or plot axis. Without `exp`, units of parameters are
+    unknown."""
     words, known = label_and_unit(column, exp)
     return f"{words} [{known}]" if known else words
 
 
 def label_and_unit(column: str, exp: Experiment | None = None) -> tuple[str, str]:
-    """Label of a column, and its unit."""
+    """Return the label of a column and its unit."""
     if column.endswith(SECOND_RUN_MARK):
         words, unit = label_and_unit(column.removesuffix(SECOND_RUN_MARK), exp)
         return f"{words}{SECOND_RUN_MARK}", unit

@@ -1,4 +1,4 @@
-"""Maps of success over two parameters, with a panel for each combination of further names."""
+"""Maps of outcomes over two parameters, with a panel for each combination of categorical parameters."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
@@ -39,7 +39,7 @@ GLYPH_SIZE_PT = 3.2  # points across, of a glyph whose radius is one
 
 
 def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str, ...] = (), title: str = "") -> Figure:
-    """Draw a map of success.
+    """Draw a map of outcomes or success rates over two parameters.
 
     With one rollout a cell, colours are outcomes and causes; with more, the rate of success.
 
@@ -105,7 +105,7 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
 
 
 def map_axes(rows: pd.DataFrame, chosen: tuple[str, ...]) -> tuple[str, str]:
-    """Choose the parameters across and upwards of a map.
+    """Choose the horizontal and vertical parameter of a map.
 
     Args:
         rows: rows of the study.
@@ -123,7 +123,7 @@ def map_axes(rows: pd.DataFrame, chosen: tuple[str, ...]) -> tuple[str, str]:
 
 
 def independent_parameters(rows: pd.DataFrame, chosen: tuple[str, ...] = ()) -> list[str]:
-    """List at most two parameters, neither of which determines the other.
+    """Return at most two parameters of which neither determines the other.
 
     Args:
         rows: rows of the study.
@@ -144,7 +144,7 @@ def independent_parameters(rows: pd.DataFrame, chosen: tuple[str, ...] = ()) -> 
 def split_panels(
     rows: pd.DataFrame, x: str, y: str, also: tuple[str, ...] = (), exp: Experiment | None = None
 ) -> Iterator[tuple[list[str], pd.DataFrame]]:
-    """Divide rows into panels with titles, one for each combination of names and of values of `also`."""
+    """Divide rows into map panels with titles, one for each combination of names and of values of `also`."""
     named = [c for c in rows.columns if "." in c and c not in (x, y) and rows[c].dtype.kind not in "fi"]
     named = [*(c for c in named if has_several_values(rows[c])), *also]
     if not named:
@@ -155,14 +155,14 @@ def split_panels(
 
 
 def list_outcome_kinds(rows: pd.DataFrame, exp: Experiment) -> list[str]:
-    """Kinds that occur in `rows`, success and causes, in the order of their definition."""
+    """Return the outcome kinds that occur in `rows`, success and causes, in the order of their definition."""
     found = set(rows["cause"])
     causes = [cause for cause in exp.system.causes if cause in found and cause not in exp.system.invalid_causes]
     return [SUCCESS] * bool((rows["outcome"] == SUCCESS).any()) + causes
 
 
 def rollouts_per_cell_range(counts: list[pd.Series]) -> str:
-    """Smallest and largest number of rollouts in a cell."""
+    """Return smallest and largest number of rollouts in a map's cells."""
     low, high = min(int(c.min()) for c in counts), max(int(c.max()) for c in counts)
     return str(low) if low == high else f"{low}-{high}"
 
@@ -184,7 +184,7 @@ def has_room_for_glyphs(cells: MapCells) -> bool:
 
 
 def draw_glyphs(ax: Axes, failed: pd.DataFrame, cells: MapCells) -> None:
-    """Draw the shape of its cause in each failed cell, for readers who cannot tell the colours apart."""
+    """Draw the glyph of its cause in each failed cell, for readers who cannot distinguish the colours."""
     middles = [(cell_edges(values)[1:] + cell_edges(values)[:-1]) / 2 for values in cells[:2]]
     for cause, part in failed.groupby("cause"):
         up, across = cell_indices(part, cells)
@@ -199,14 +199,14 @@ def draw_glyph_at(ax: Axes, cause: str, x: np.ndarray, y: np.ndarray) -> None:
 
 
 def cause_glyph(cause: str) -> Line2D:
-    """Shape of a cause, in a colour that contrasts with its cell."""
+    """Return the glyph (marker) of a cause, in a colour that contrasts with its cell."""
     look = find_style(cause)
     style: dict[str, Any] = {"marker": marker_path(cause), "markersize": GLYPH_SIZE_PT * np.abs(look.shape).max()}
     return Line2D([], [], linestyle="", color=glyph_ink(look.colour), markeredgewidth=0, **style)
 
 
 def equal_runs(grid: np.ndarray, cells: MapCells) -> Iterator[tuple[tuple[tuple[float, float], float, float], Any]]:
-    """Find runs of equal cells in each line: corner, width, height and value."""
+    """Return runs of equal cells in each line of a grid: corner, width, height and value."""
     x, y = cell_edges(cells.x).tolist(), cell_edges(cells.y).tolist()
     for j, line in enumerate(grid):
         starts = np.flatnonzero(np.r_[True, line[1:] != line[:-1]]).tolist()
@@ -215,12 +215,12 @@ def equal_runs(grid: np.ndarray, cells: MapCells) -> Iterator[tuple[tuple[tuple[
 
 
 def cell_indices(rows: pd.DataFrame, cells: MapCells) -> tuple[np.ndarray, np.ndarray]:
-    """Line and column of the cell of each row."""
+    """Return line and column of the cell of each row."""
     return np.searchsorted(cells.y, rows["y"]), np.searchsorted(cells.x, rows["x"])
 
 
 def cell_means(rows: pd.DataFrame, cells: MapCells, name: str) -> np.ma.MaskedArray:
-    """Mean of a column over the rows of each cell, masked where no row has a number."""
+    """Return the mean of a column over the rows of each cell, masked where no row has a number."""
     own = rows[rows[name].notna()]
     at = np.ravel_multi_index(cell_indices(own, cells), (len(cells.y), len(cells.x)))
     size = len(cells.x) * len(cells.y)
@@ -231,14 +231,14 @@ def cell_means(rows: pd.DataFrame, cells: MapCells, name: str) -> np.ma.MaskedAr
 
 
 def draw_rates(ax: Axes, rows: pd.DataFrame, cells: MapCells) -> None:
-    """Colour cells by the rate of success among valid rollouts."""
+    """Colour a map's cells by the success rate of valid rollouts."""
     draw_cell_values(
         ax, rows.assign(value=(rows["outcome"] == "success").astype(float)), cells, cmap="cividis", vmin=0, vmax=1
     )
 
 
 def draw_cell_values(ax: Axes, rows: pd.DataFrame, cells: MapCells, **style: Any) -> None:
-    """Colour cells by the mean value of their valid rows, and hatch those with invalid ones."""
+    """Colour a map's cells by the mean of their valid rows, and hatch cells with invalid ones."""
     invalid = rows["outcome"] == "invalid"
     draw_cells(ax, cell_means(rows[~invalid], cells, "value"), cells, **style)
     doubtful = np.zeros((len(cells.y), len(cells.x)), dtype=bool)
@@ -278,7 +278,7 @@ def draw_refined_cells(ax: Axes, exp: Experiment, painted: pd.DataFrame, x: str,
 
 
 def draw_metric(ax: Axes, rows: pd.DataFrame, cells: MapCells, name: str) -> None:
-    """Colour cells by a metric of the successful rollouts."""
+    """Colour a map's cells by a metric of the successful rollouts."""
     colours = draw_cells(ax, cell_means(rows[rows["outcome"] == "success"], cells, name), cells)
     ax.figure.colorbar(colours, ax=ax, label=f"{axis_title(name)}, where it succeeds", shrink=0.8)
 
@@ -293,6 +293,6 @@ def draw_legend(figure: Figure, kinds: Sequence[str], shaped: bool, invalid: boo
 
 
 def legend_cell(label: str, colour: str, cause: str = "") -> tuple[Line2D, ...]:
-    """Legend entry of a map's cell, with the glyph of its cause."""
+    """Return the legend entry of a map cell, with the glyph of its cause."""
     square = Line2D([], [], linestyle="", marker="s", markersize=FONT_SIZE_PT, color=colour, label=label)
     return (square, cause_glyph(cause)) if cause else (square,)

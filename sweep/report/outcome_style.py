@@ -1,4 +1,4 @@
-"""Style of outcomes: one colour and one shape for each, the same in every study, view, theme and figure.
+"""Colour and shape of each outcome, the same in every study, view, theme and figure.
 
 Success is sky blue, which no failure comes near for any kind of colour blindness. Causes go by what fails: feet are
 red, the body is orange, plans are yellow, drives are grey, goals are brown and wine-coloured. Within a family the shape
@@ -17,7 +17,7 @@ from sweep.core.outcomes import SUCCESS
 
 
 class OutcomeStyle(NamedTuple):
-    """Colour and shape of rollouts of one kind."""
+    """Colour and shape with which rollouts of one outcome kind are drawn."""
 
     colour: str  # of marks, lines and cells; of doubts that of marks, as their cells are hatched
     shape: np.ndarray  # corners (N, 2) of a mark, x to the right and y up, its radius being about one
@@ -25,7 +25,8 @@ class OutcomeStyle(NamedTuple):
 
 
 def star(points: int, inner: float = 1.0, turn: float = 0.0) -> np.ndarray:
-    """Star (2 N, 2) with inner corners at a share of the radius; at share 1 a polygon (N, 2). `turn` in degrees."""
+    """Return a star polygon (2 N, 2) with inner corners at a share of the radius; at share 1 a regular polygon (N,
+    2)."""
     count = points if inner == 1 else 2 * points
     angle = np.radians(90 + turn) + 2 * np.pi * np.arange(count) / count
     radius = np.where(np.arange(count) % 2 * (inner != 1), inner, 1.0)
@@ -33,47 +34,47 @@ def star(points: int, inner: float = 1.0, turn: float = 0.0) -> np.ndarray:
 
 
 def cross(half: float, turn: float = 0.0) -> np.ndarray:
-    """Cross of two bars of half width `half`."""
+    """Return the polygon of a cross of two bars of half width `half`."""
     arm = np.array([(half, 1.0), (half, half), (1.0, half)])
     return np.concatenate([arm @ rotation(-90 * k) for k in range(4)]) @ rotation(turn)
 
 
 def chevron(turn: float = 0.0) -> np.ndarray:
-    """A thick arrowhead (6, 2) that points up."""
+    """Return the polygon (6, 2) of a thick arrowhead that points up."""
     return np.array([(-0.9, -0.9), (0, 0), (0.9, -0.9), (0.9, 0), (0, 0.9), (-0.9, 0)]) @ rotation(turn)
 
 
 def hourglass(turn: float = 0.0) -> np.ndarray:
-    """Two triangles (6, 2) with their tips to each other."""
+    """Return the polygon (6, 2) of two triangles that meet at their tips."""
     return np.array([(-0.9, 1), (0.9, 1), (0.2, 0), (0.9, -1), (-0.9, -1), (-0.2, 0)]) @ rotation(turn)
 
 
 def dome(turn: float = 0.0) -> np.ndarray:
-    """Half a disc (13, 2), its flat side below."""
+    """Return the polygon (13, 2) of half a disc with its flat side below."""
     angle = np.linspace(0, np.pi, 13)
     return np.stack([np.cos(angle), np.sin(angle) - 0.45], axis=1) @ rotation(turn)
 
 
 def ring(hole: float) -> np.ndarray:
-    """A ring (50, 2) as one line: around, through a cut, and back around its hole of that radius."""
+    """Return the polygon (50, 2) of a ring with a hole of the given radius."""
     angle = np.linspace(0, 2 * np.pi, 25)
     around = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return np.concatenate([around, hole * around[::-1]])
 
 
 def bar(half: float, turn: float = 0.0) -> np.ndarray:
-    """A bar of the half width `half`."""
+    """Return the polygon of a bar of half width `half`."""
     return np.array([(1.0, half), (1.0, -half), (-1.0, -half), (-1.0, half)]) @ rotation(turn)
 
 
 def rotation(degrees: float) -> np.ndarray:
-    """Rotation matrix that multiplies corners (N, 2) from the right."""
+    """Return the rotation matrix that multiplies corners (N, 2) from the right."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return np.array([[c, s], [-s, c]])
 
 
 def family_styles(family: str, **kinds: tuple[str, np.ndarray]) -> dict[str, OutcomeStyle]:
-    """Styles of a family of causes, with shapes of about equal area."""
+    """Return the styles of a family of causes, with shapes of about equal area."""
     found = {}
     for kind, (colour, shape) in kinds.items():
         x, y = shape.T
@@ -140,30 +141,30 @@ SUCCESS_COLOUR = OUTCOME_STYLES[SUCCESS].colour
 
 
 def find_style(kind: str) -> OutcomeStyle:
-    """Style of success, of a cause or of a pair's outcome; a user's cause gets one from its name."""
+    """Return the style of success, of a cause or of a pair's outcome; a user's cause gets one derived from its name."""
     spare = [one for one in OUTCOME_STYLES.values() if one.family not in ("success", "doubt")]
     known = OUTCOME_STYLES.get(kind) or PAIR_STYLES.get(kind)
     return known or (spare[crc32(kind.encode()) % len(spare)] if kind else UNKNOWN_KIND_STYLE)
 
 
 def marker_path(kind: str) -> Path:
-    """The shape of a kind as a matplotlib marker."""
+    """Return the shape of an outcome kind as a Matplotlib marker."""
     shape = find_style(kind).shape
     return Path(np.concatenate([shape, shape[:1]]), closed=True)
 
 
 def glyph_ink(colour: str) -> str:
-    """Colour of a glyph on a cell: dark on light colours, light on dark ones."""
+    """Return the colour of a glyph on a cell: dark on light colours, light on dark ones."""
     red, green, blue = (int(colour[k : k + 2], 16) for k in (1, 3, 5))
     return INVALID_CELL_COLOUR if 0.299 * red + 0.587 * green + 0.114 * blue < 110 else DARK_INK
 
 
 def legend_handle(kind: str, label: str, **style: object) -> Line2D:
-    """The legend entry for marks of a kind."""
+    """Return the legend entry for marks of an outcome kind."""
     return Line2D([], [], linestyle="", marker=marker_path(kind), color=find_style(kind).colour, label=label, **style)  # pyright: ignore[reportArgumentType]
 
 
 def kinds_by_frequency(kinds: pd.Series) -> list[str]:
-    """List success, then causes, the most frequent first, so that rarer ones are drawn on top."""
+    """Return success, then causes, the most frequent first, so that rarer ones are drawn on top."""
     counts = kinds.value_counts()
     return sorted(map(str, counts.index), key=lambda one: (one != SUCCESS, -int(counts[one])))

@@ -1,4 +1,4 @@
-"""`sweep list results/`: a line for each study folder."""
+"""Table of study folders for `sweep list results/`, one line each."""
 
 from datetime import datetime
 from pathlib import Path
@@ -16,13 +16,15 @@ from sweep.study.design_kinds import is_adaptive_kind
 
 
 def overview_text(folders: list[Path]) -> str:
-    """Table of the studies in `folders`, or in the folders below them. Raises `InputError` where one has none."""
+    """Return a table of the studies in `folders` or directly below them. Raises `InputError` for a folder without
+    any."""
     found = [one for folder in folders for one in find_study_folders(folder)]
     return pd.DataFrame([describe_folder(folder) for folder in found]).to_markdown(index=False, disable_numparse=True)
 
 
 def find_study_folders(folder: Path) -> list[Path]:
-    """The folder itself if it holds a study, else the study folders directly in it. Raises `InputError` without any."""
+    """Return the folder itself if it holds a study, else the study folders directly in it. Raises `InputError` without
+    any."""
     places = [folder / store.STUDY_FILE, *sorted(folder.glob(f"*/{store.STUDY_FILE}"))]
     if found := [file.parent for file in places if file.exists()]:
         return found[:1] if found[0] == folder else found
@@ -30,7 +32,8 @@ def find_study_folders(folder: Path) -> list[Path]:
 
 
 def describe_folder(folder: Path) -> dict[str, str]:
-    """Summary of a folder: study, rollouts done and planned, success rate or P(failure), code, last change."""
+    """Summarize a results folder: study, rollouts done and planned, success rate or failure probability, code, last
+    change."""
     name = printable_name(folder)
     empty = dict.fromkeys(("study", "rollouts", "succeed", "invalid", "commit", "date"), "")
     try:
@@ -65,7 +68,7 @@ def read_failure_probability(folder: Path) -> str:
 
 
 def read_outcomes(folder: Path) -> pd.Series:
-    """The outcomes of finished rows. Raises `InputError` where a part is damaged."""
+    """Return the outcomes of finished rows. Raises `InputError` if a part is damaged."""
     if not store.list_current_parts(folder):
         return pd.Series([], dtype=object)
     return store.read_rows(folder, ["outcome"])["outcome"]

@@ -1,4 +1,4 @@
-"""`sweep report A B`: one page about the points that two studies share; a row is a pair of rollouts."""
+"""Comparison page of `sweep report A B` about the points that two studies share; each row is a pair of rollouts."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -53,7 +53,7 @@ def join_pairs(a: Results, b: Results) -> tuple[Results, pd.DataFrame]:
 
 
 def pairs_headline(pairs: pd.DataFrame, a: Path, b: Path, unit: np.ndarray | None = None) -> str:
-    """Say in a sentence how many outcomes differ, and whether chance explains it.
+    """State in a sentence how many outcomes differ, and whether chance explains it.
 
     Args:
         pairs: paired rows.
@@ -85,7 +85,7 @@ def pairs_tables(pairs: pd.DataFrame, unit: np.ndarray | None = None) -> Iterato
 
 
 def replay_flipped_pairs(a: Results, b: Results, number: int, progress: Callable[[int, int], None]) -> None:
-    """Simulate pairs of which only one rollout succeeds again, and store their replays in both folders.
+    """Simulate again pairs of which only one rollout succeeds, and store their replays in both folders.
 
     Args:
         a: first study.
@@ -102,7 +102,7 @@ def replay_flipped_pairs(a: Results, b: Results, number: int, progress: Callable
 
 
 def read_pair_replays(a: Results, b: Results) -> Iterator[ShownReplay]:
-    """Yield the stored replays of pairs, that of A before that of B.
+    """Yield the stored replays of pairs, each rollout of A before that of B.
 
     Args:
         a: first study.
@@ -120,7 +120,7 @@ def read_pair_replays(a: Results, b: Results) -> Iterator[ShownReplay]:
 
 
 def replay_names(rows: pd.DataFrame, mark: str) -> pd.Series:
-    """Name of each row's replay, from the columns with a mark."""
+    """Return the name of each row's replay file, from the columns marked with `mark`."""
     point = rows[f"point_id{mark}"] if f"point_id{mark}" in rows else rows["point_id"]
     return rows[f"run_id{mark}"].astype(str) + "-" + point.astype(str)
 

@@ -1,4 +1,4 @@
-"""`sweep export --paper`: a study as LaTeX tables, figures with their data, and a macro for every number."""
+"""Export of a study for a paper: LaTeX tables, figures with their data, and a macro for every number."""
 
 import re
 import sys
@@ -43,7 +43,7 @@ DIGIT_WORDS = ("Zero", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "E
 
 @dataclass(frozen=True)
 class QuotableNumber:
-    """A number that a paper may quote, and the rows that it comes from."""
+    """A number that a paper may quote, with the rows from which it is computed."""
 
     name: str  # of its macro
     value: float
@@ -240,7 +240,7 @@ def quotable_numbers(results: Results, failure: FailureEstimate | None) -> Itera
 
 
 def sampling_caveat(results: Results, failure: FailureEstimate | None) -> str:
-    """Sentence that has to accompany the numbers if earlier rows decided which points were run."""
+    """Return the sentence that must accompany the numbers if earlier rows decided which points were run."""
     if results.exp.study.is_refined:
         return "Most rollouts were placed next to the boundary, so this is not the share of the region."
     if not failure:
@@ -255,7 +255,7 @@ def _percent(name: str, share: float, meaning: str, where: str | None) -> Quotab
 
 
 def macro_definition(results: Results, number: QuotableNumber, file: str) -> str:
-    """LaTeX definition of a number's macro, after a comment that names its rows and how to list them."""
+    """Return the LaTeX definition of a number's macro, after a comment that names its rows and how to list them."""
     chosen = results.rows[condition_mask(results.rows, number.where)]
     if extreme := re.fullmatch(r"(min|max) of (\S+)", number.what):
         values = chosen[extreme[2]]
@@ -269,13 +269,13 @@ def macro_definition(results: Results, number: QuotableNumber, file: str) -> str
 
 
 def macro_prefix(results: Results) -> str:
-    """Prefix of the study's macros: its name in letters that LaTeX allows."""
+    """Return the prefix of the study's macros: its name in letters that LaTeX allows."""
     word = macro_name(results.name) or "Study"
     return word[0].lower() + word[1:]
 
 
 def macro_name(text: str) -> str:
-    """Name of a macro: `slip_max_m` -> `SlipMaxM`. Macro names have letters only, so digits are spelt."""
+    """Return the name of a LaTeX macro: `slip_max_m` -> `SlipMaxM`; digits are spelt out."""
     words = [w[0].upper() + w[1:] for w in re.split(r"[^0-9A-Za-z]+", text) if w]
     return re.sub(r"\d", lambda digit: DIGIT_WORDS[int(digit[0])], "".join(words))
 
@@ -288,8 +288,8 @@ def escape_latex(text: str) -> str:
 
 
 def find_other_letters(text: str) -> tuple[list[str], list[str], list[str]]:
-    """The letters of `text` that are Cyrillic, which pdfLaTeX has fonts for; those that it has none for; and which of
-    these are of no alphabet of Europe."""
+    """Return the letters of `text` that are Cyrillic (pdfLaTeX has fonts), those without pdfLaTeX fonts, and which of
+    these are not European."""
     letters = sorted(letter for letter in set(text) if letter.isprintable() and ord(letter) > LATIN)
     unknown = [letter for letter in letters if letter not in (*CYRILLIC, *PUNCTUATION)]
     others = [letter for letter in unknown if not unicodedata.name(letter, "").startswith(ALPHABETS)]
@@ -297,7 +297,7 @@ def find_other_letters(text: str) -> tuple[list[str], list[str], list[str]]:
 
 
 def hexadecimal_code_points(letters: Iterable[str]) -> list[str]:
-    """Hexadecimal code points, as `DeclareUnicodeCharacter` takes them."""
+    """Return hexadecimal code points of letters, as `DeclareUnicodeCharacter` takes them."""
     return [f"{ord(letter):04X}" for letter in letters]
 
 

@@ -101,7 +101,7 @@ def choose_spread_rows(results: Results) -> Iterator[tuple[int, str]]:
 
 
 def scaled_parameters(results: Results) -> np.ndarray:
-    """Parameters of each row (N, K), in units of their range; two different names are 1 apart."""
+    """Return the parameters of each row (N, K), scaled by their ranges; two different names are 1 apart."""
     columns = [pd.factorize(results.rows[c])[0].astype(float) for c in results.categorical_columns]
     columns += [results.rows[c].to_numpy(dtype=float) for c in results.numeric_columns]
     values = np.column_stack(columns) if columns else np.zeros((len(results.rows), 1))
@@ -110,7 +110,7 @@ def scaled_parameters(results: Results) -> np.ndarray:
 
 
 def order_by_distance(places: np.ndarray) -> Iterator[int]:
-    """Order points (N, K) so that each is the farthest from all before it; the first is closest to their mean."""
+    """Order points (N, K) so that each is the farthest from all earlier ones; the first is closest to the mean."""
     if not len(places):
         return
     least = np.full(len(places), np.inf)

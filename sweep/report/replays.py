@@ -1,4 +1,4 @@
-"""Replays of a study for its page: rollouts simulated again in batches of their own, stored in `replays/`."""
+"""Replays for a study's page: rollouts simulated again in their own batches, stored in `replays/`."""
 
 import json
 import re
@@ -59,7 +59,7 @@ def make_replays(
 def simulate_again(
     exp: Experiment, rows: pd.DataFrame, planned: pd.DataFrame, rate: float = MAX_RATE
 ) -> Iterator[tuple[pd.Series, Trace, dict[str, Any]]]:
-    """Simulate stored rows again, and record their replays.
+    """Simulate stored rows again and record their replays.
 
     A line on the standard error names each rollout whose model cannot be drawn; it is left out.
 
@@ -92,7 +92,7 @@ def simulate_again(
 
 
 def pack_batches(rows: pd.DataFrame, widest: int) -> pd.DataFrame:
-    """Lay rows out in as few batches as possible, none wider than `widest`.
+    """Distribute rows over as few batches as possible, none wider than `widest`.
 
     A rollout has the same bits in the same slot of a batch of the same width, whatever its neighbours are. Where the
     study's batches are too wide for this machine, rows take new slots.
@@ -114,7 +114,7 @@ def write_replay(folder: Path, row: pd.Series, trace: Trace) -> None:
 
 
 def replay_content(row: pd.Series, trace: Trace) -> dict[str, Any]:
-    """Content of a replay file.
+    """Return the content of a replay file.
 
     Args:
         row: row of the study.
@@ -158,7 +158,7 @@ def read_replays(results: Results) -> Iterator[tuple[int, dict[str, Any]]]:
 
 
 def load_replay(file: Path) -> dict[str, Any]:
-    """Load a replay file, which may come from a stranger; its states are put into pages as they are.
+    """Load a replay file, which may be untrusted, and check its content.
 
     Raises:
         InputError: It is no replay.
@@ -174,7 +174,7 @@ def load_replay(file: Path) -> dict[str, Any]:
 
 
 def replay_path(folder: Path, row: pd.Series) -> Path:
-    """File of a row's replay, whether or not it exists.
+    """Return the path of a row's replay file, which need not exist.
 
     Args:
         folder: folder of the study.

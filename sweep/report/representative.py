@@ -22,7 +22,7 @@ FRAMES_PER_PICTURE, TIME_AFTER_CAUSE_S = 4, 1.0  # of a picture: how many, and h
 
 @dataclass(frozen=True)
 class Representative:
-    """The most representative rollout of a kind."""
+    """The most representative rollout (medoid) of an outcome kind."""
 
     kind: str  # success, or a cause
     number: int  # rollouts of the kind
@@ -51,7 +51,7 @@ def find_representatives(results: Results) -> Iterator[Representative]:
 
 
 def standardize(values: np.ndarray) -> np.ndarray:
-    """Scale columns of `values` (N, K) by their spread about the median; missing values become 0, the median."""
+    """Scale the columns of `values` (N, K) by their spread about the median; missing values become 0."""
     values = np.where(np.isfinite(values), values, np.nan)
     values = values[:, ~np.isnan(values).all(axis=0)]
     if not values.shape[1]:
@@ -62,7 +62,7 @@ def standardize(values: np.ndarray) -> np.ndarray:
 
 
 def medoid(values: np.ndarray) -> int:
-    """Index of the row of `values` (N, K) with the smallest sum of distances to all rows."""
+    """Return the index of the row of `values` (N, K) with the smallest sum of distances to all rows."""
     square = np.sum(values**2, axis=1)
     distance = np.sqrt(np.maximum(square[:, None] + square - 2 * values @ values.T, 0))
     return int(np.argmin(distance.sum(axis=1)))

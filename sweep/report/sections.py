@@ -1,4 +1,4 @@
-"""Maps of a study with any number of parameters: sections through its points, with confidence intervals."""
+"""Maps of studies with many parameters: sections through the points at two parameters, with confidence intervals."""
 
 import math
 from collections.abc import Iterator
@@ -42,7 +42,7 @@ MAX_GRID_VALUES = 400  # more values than this along an axis are no grid that a 
 
 @dataclass(frozen=True)
 class MapSection:
-    """Rows of a map: a section through the points, or all of them in bins."""
+    """Rows of one map: those on a section through the parameter space, or all rows in bins."""
 
     x: str
     y: str
@@ -83,8 +83,7 @@ def list_sections(results: Results) -> Iterator[MapSection]:
 
 
 def cut_section(results: Results, x: str, y: str, remaining: list[str]) -> MapSection:
-    """Return the section of a map at nominal values of the `remaining` parameters, or at a few values of a single
-    one."""
+    """Return the map section at nominal values of the `remaining` parameters, or at a few values of a single one."""
     rows = results.rows
     if len(remaining) == 1:
         values = np.sort(rows[remaining[0]].unique())
@@ -100,7 +99,7 @@ def cut_section(results: Results, x: str, y: str, remaining: list[str]) -> MapSe
 
 
 def is_filled(section: MapSection) -> bool:
-    """Whether a section is a grid of few enough values, and at least half of its cells have rows."""
+    """Return whether a section is a grid of few enough values with rows in at least half of its cells."""
     by = [section.x, section.y, *([section.panel_parameter] if section.panel_parameter else [])]
     counts = [section.rows[c].nunique() for c in by]
     cells = len(section.rows[by].drop_duplicates())
@@ -117,19 +116,19 @@ def bin_rows(results: Results, x: str, y: str, remaining: list[str]) -> MapSecti
 
 
 def nearest_value(values: pd.Series, target: float) -> float:
-    """The value nearest to `target`."""
+    """Return the value nearest to `target`."""
     return float(values.iloc[int((values - target).abs().argmin())])
 
 
 def nominal_value(results: Results, column: str) -> float:
-    """Nominal value of a parameter; the median of a number from which parameters are computed."""
+    """Return the nominal value of a parameter; the median for a number from which parameters are computed."""
     if column.startswith("axis."):
         return float(results.rows[column].median())
     return float(results.exp.system.nominal(column, results.exp.settings))
 
 
 def draw_section(results: Results, chosen: MapSection) -> Figure:
-    """Draw outcomes of single rollouts, or success rates with the ends of their intervals."""
+    """Draw the map of a section: outcomes of single rollouts, or success rates with the ends of their intervals."""
     x, y = chosen.x, chosen.y
     rows, cells = lay_out_cells(chosen.rows, x, y)
     panels = list(
@@ -181,7 +180,7 @@ def draw_section(results: Results, chosen: MapSection) -> Figure:
 
 
 def cell_rates(results: Results, rows: pd.DataFrame, by: list[str], axes: list[str]) -> pd.DataFrame:
-    """Success rate of each cell, with the confidence interval that suits the design.
+    """Compute the success rate in each cell, with the confidence interval that suits the study's design.
 
     Args:
         results: The study.
@@ -199,7 +198,7 @@ def cell_rates(results: Results, rows: pd.DataFrame, by: list[str], axes: list[s
 
 
 def section_data(results: Results, chosen: MapSection) -> pd.DataFrame:
-    """The numbers behind a map, a row for each cell."""
+    """Return the numbers behind a map, a row for each cell."""
     rows = chosen.rows
     named = [c for c in rows if "." in str(c) and rows[c].dtype.kind not in "fi" and has_several_values(rows[c])]
     named = [c for c in named if c not in (chosen.x, chosen.y)]

@@ -132,7 +132,7 @@ def _sensitivity_tables(rows: pd.DataFrame, exp: Experiment) -> Iterator[tuple[s
 
 
 def sensitivity_methods(exp: Experiment, draws: int) -> dict[str, Analysis]:
-    """Return the methods that fit a study's design, by title.
+    """Return the sensitivity methods that fit a study's design, by title.
 
     Args:
         exp: experiment of the study.
@@ -153,7 +153,7 @@ def sensitivity_methods(exp: Experiment, draws: int) -> dict[str, Analysis]:
 
 
 def render_statistics(rows: pd.DataFrame, exp: Experiment, level: float = 0.9, figure: str | None = None) -> str:
-    """The statistics of a study as Markdown: the answer in two lines, then titled tables.
+    """Format the statistics of a study as Markdown: the main result in two lines, then titled tables.
 
     Args:
         rows: rows of the study.

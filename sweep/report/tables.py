@@ -1,4 +1,4 @@
-"""Rows as text or files: CSV, Markdown, LaTeX with booktabs, Parquet."""
+"""Export of rows as CSV, Markdown, LaTeX (booktabs) and Parquet."""
 
 import io
 import json
@@ -26,7 +26,7 @@ SHARE_COLUMNS = ("share", "low", "high")  # of tables of rates; without a share,
 
 
 def render_table(rows: pd.DataFrame, form: str, names: list[str] | None = None, exp: Experiment | None = None) -> bytes:
-    """Write rows in a format.
+    """Format rows in one of the supported formats.
 
     Args:
         rows: rows of a study.
@@ -56,7 +56,7 @@ def render_table(rows: pd.DataFrame, form: str, names: list[str] | None = None, 
 
 
 def choose_columns(rows: pd.DataFrame, form: str, names: list[str] | None) -> list[str]:
-    """Choose the columns of a table.
+    """Choose the columns of a table for a format.
 
     Args:
         rows: rows of a study.
@@ -73,7 +73,7 @@ def choose_columns(rows: pd.DataFrame, form: str, names: list[str] | None) -> li
 
 
 def csv_bytes(rows: pd.DataFrame, header: bool = True) -> bytes:
-    """Format rows as CSV with quoted words. Arrow takes a tenth of the time of pandas.
+    """Format rows as CSV with quoted words, by Arrow, which is faster than pandas.
 
     Args:
         rows: a table.
@@ -89,7 +89,7 @@ def csv_bytes(rows: pd.DataFrame, header: bool = True) -> bytes:
 
 
 def parquet_pieces(parts: Iterable[pd.DataFrame], empty: pd.DataFrame) -> Iterator[bytes]:
-    """Write rows as a Parquet file, in groups of about `GROUP_ROWS` rows, so that no more are in memory.
+    """Yield rows as the pieces of a Parquet file, in groups of about `GROUP_ROWS` rows to limit memory.
 
     Args:
         parts: The rows, in order.
@@ -148,7 +148,8 @@ def markdown_table(rows: pd.DataFrame, exp: Experiment | None = None) -> str:
 
 
 def readable_columns(rows: pd.DataFrame) -> list[str]:
-    """Columns that fit on a page: parameters, the replicate if there are several, and labels of the outcome."""
+    """Return the columns that a readable table shows: parameters, the replicate if there are several, and outcome
+    labels."""
     several = ["replicate"] if rows["replicate"].nunique() > 1 else []
     return [c for c in rows.columns if "." in c] + several + list(LABEL_COLUMNS)
 
@@ -178,14 +179,14 @@ def latex_table(rows: pd.DataFrame, exp: Experiment | None = None) -> str:
 
 
 def replace_unit_signs(escaped: str) -> str:
-    """Replace signs of units in escaped text with commands of pdfLaTeX."""
+    """Replace signs in units of escaped text by pdfLaTeX commands."""
     for sign, word in LATEX_SIGNS.items():
         escaped = escaped.replace(sign, word)
     return escaped
 
 
 def rollout_table(exp: Experiment, row: pd.Series) -> str:
-    """Format outcome and metrics of one rollout as Markdown, with the reason for its outcome.
+    """Format outcome and metrics of one rollout as a Markdown table, with the reason for the outcome.
 
     Args:
         exp: experiment of the rollout.

@@ -1,4 +1,4 @@
-"""Stored time series of rollouts as plots: thin lines, their median and quantiles."""
+"""Plots of stored time series: single rollouts as thin lines, with their median and quantiles."""
 
 from collections.abc import Iterator
 

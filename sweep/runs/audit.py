@@ -1,4 +1,4 @@
-"""`sweep audit`: does the boundary of success belong to the robot or to the simulation?
+"""Audit of a study for `sweep audit`: simulate rollouts again in variants of the simulation and count changed outcomes.
 
 Rollouts next to the boundary, and as many successes elsewhere, are simulated again in variants that should make no
 difference, such as half the time step. Each variant is a study of its own in the folder's `audit/`, so it can be
@@ -93,7 +93,7 @@ def _variant_study(
 
 
 def with_row_settings(results: Results) -> Experiment:
-    """Return the study's experiment with the engine settings that all its rows share.
+    """Return the experiment of a study with the engine settings of its stored rows.
 
     Raises:
         InputError: Rows differ in their engine settings.
@@ -107,13 +107,13 @@ def with_row_settings(results: Results) -> Experiment:
 
 
 def sample_masks(results: Results) -> dict[str, np.ndarray]:
-    """Return masks (rows,) of the rows that each sample of an audit may draw, by the sample's description."""
+    """Return for each sample of an audit, by its description, the mask (rows,) of the rows that it may contain."""
     near, succeeds = boundary_mask(results), (results.rows["outcome"] == "success").to_numpy()
     return {"next to the boundary": near, "successes elsewhere": succeeds & ~near}
 
 
 def boundary_mask(results: Results) -> np.ndarray:
-    """Find rows next to the boundary of success: one of row and neighbour succeeds and the other fails.
+    """Return the mask of rows next to the boundary of success: of row and neighbour, one succeeds and one fails.
 
     The neighbours of a row are the 2 d nearest rows along d numeric parameters, among valid rows with the same
     categorical values and replicate. On a grid these are the adjacent points.
@@ -147,7 +147,7 @@ def boundary_mask(results: Results) -> np.ndarray:
 
 
 def iter_audited_variants(results: Results) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Yield each variant that has audited rows of `results`, with a table that pairs old and new rollouts.
+    """Yield each variant that has audited rows, with a table that pairs old and new rollouts.
 
     The table is that of `compare.pair_rows`, paired by `point_id`.
     """

@@ -54,7 +54,7 @@ class AxisCheckReport:
         return not self.irreproducible and not any(one.is_entire_axis for one in self.inactive)
 
     def format_lines(self, exp: Experiment) -> Iterator[str]:
-        """Yield one line for the user on each finding."""
+        """Yield a line for each finding of the check, for the user."""
         if self.irreproducible:
             yield (
                 f"two runs of one batch differ ({', '.join(self.irreproducible[:3])}): the controller is not a "

@@ -1,4 +1,4 @@
-"""Which axes of a study have no effect: by the program that simulates it, and by its rows."""
+"""Study axes without effect, found from the program that simulates them and from finished rows."""
 
 import numpy as np
 import pandas as pd
@@ -11,7 +11,7 @@ from sweep.study.study import parameter_columns
 
 
 def find_unread_columns(exp: Experiment, table: pd.DataFrame) -> set[str]:
-    """Find varied numbers that no program of a study reads: they cannot change a bit of any row.
+    """Find varied parameters that no program of a study reads, so that they cannot change any row.
 
     Args:
         exp: the experiment.

@@ -1,4 +1,4 @@
-"""Turn points of a study into inputs of an engine: groups that share a compiled engine, and batches of one width."""
+"""Conversion of study points into engine inputs: groups that share a compiled engine, and batches of one width."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -17,7 +17,7 @@ from sweep.study.study import extreme_points, identity_columns, needs_other_engi
 
 @dataclass(frozen=True)
 class Batch:
-    """Input of one call of an engine: `width` rollouts, the last row repeated where there are fewer rows."""
+    """Input of one engine call: `width` rollouts, with the last row repeated if there are fewer."""
 
     settings: EngineSettings
     world: Any  # the system's own type of parameters
@@ -48,7 +48,7 @@ def forget_engine() -> None:
 
 
 def allocate_delay_buffers(exp: Experiment, table: pd.DataFrame) -> Experiment:
-    """Return the experiment with delay buffers of its system that are long enough for every point.
+    """Return the experiment with sensor-delay buffers that are long enough for every point.
 
     The ends of all drawn axes count too, so that later draws of the same study use the same compiled program.
 
@@ -63,13 +63,13 @@ def allocate_delay_buffers(exp: Experiment, table: pd.DataFrame) -> Experiment:
 
 
 def static_values(exp: Experiment, table: pd.DataFrame) -> dict[str, Any]:
-    """Return the values, by column, that all rows of one group share and that fix its compiled program."""
+    """Return the column values that all rows of a group share because they are compiled into its program."""
     static = [c for c in parameter_columns(table) if needs_other_engine(c, exp.system, exp.settings)]
     return {c: getattr(v := table[c].iloc[0], "item", lambda v=v: v)() for c in static}
 
 
 def make_nominal_batch(exp: Experiment, rows: pd.DataFrame, width: int) -> Batch:
-    """Return the batch from which the engine of a group is made: its static values, all swept quantities nominal.
+    """Return the nominal batch of a group, from which its engine is compiled.
 
     Args:
         exp: Experiment of the study.
@@ -87,7 +87,7 @@ def make_nominal_batch(exp: Experiment, rows: pd.DataFrame, width: int) -> Batch
 
 
 def make_batch(exp: Experiment, rows: pd.DataFrame) -> Batch:
-    """Return the input of an engine for the rows of one batch.
+    """Return the engine input for the rows of one batch.
 
     Args:
         exp: Experiment of the study.
@@ -175,7 +175,7 @@ def _set_cells(table: pd.DataFrame, column: str, places: np.ndarray, values: np.
 
 
 def isin_points(rows: pd.DataFrame, points: pd.DataFrame) -> np.ndarray:
-    """Return the mask (rows,) of the rows whose point is also a row of `points`."""
+    """Return the mask (rows,) of the rows whose point is also in `points`."""
     key = identity_columns(rows.columns)
     return pd.MultiIndex.from_frame(rows[key]).isin(pd.MultiIndex.from_frame(points[key]))
 

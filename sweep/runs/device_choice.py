@@ -1,4 +1,4 @@
-"""Choose CPU or GPU for a command, before JAX starts."""
+"""Choice between CPU and GPU for a command, before JAX starts."""
 
 import re
 from pathlib import Path
@@ -28,7 +28,7 @@ def choose_device_for_run(exp: Experiment) -> None:
 
 
 def choose_device_for_folder(folder: Path) -> None:
-    """Choose the CPU if all rows of `folder` were simulated on one, as for a replay; else keep JAX's default."""
+    """Choose the CPU if all rows of a folder were simulated on a CPU; else keep JAX's default device."""
     names = _row_devices(folder)
     if names and all(map(CPU_NAME.match, names)):
         devices.prefer_cpu(f"as the rows of {folder} were")

@@ -1,4 +1,4 @@
-"""Extend a stored study by more draws or replicates; those in its folder stay the same."""
+"""Extension of a stored study by more draws or replicates, without changing existing rows."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""The manifest lists the files of a study's folder that count; a file that is not listed, or differs, is no result.
+"""The manifest: a list of the valid files of a study's folder with their digests.
 
 Only the command that holds the folder's lock writes the manifest. A worker writes its part, names it by a digest of its
 content, and returns the entry to the command. A worker whose command died, or stopped waiting, does no harm, as nobody
@@ -27,7 +27,7 @@ RETRY_PAUSES = (0.01, 0.05, 0.2, 0.5)  # s, in which another command may finish 
 
 @dataclass(frozen=True)
 class ManifestEntry:
-    """A line of the manifest: one file of the folder, as it was when it was written."""
+    """A line of the manifest: one file of the folder with its digest and size at the time of writing."""
 
     file: str  # path below the folder
     length: int  # size in bytes
@@ -38,14 +38,14 @@ class ManifestEntry:
     run_ids: tuple[str, ...] = ()  # ids of the runs of its rows
 
     def find_problem(self, path: Path) -> str | None:
-        """Compare a file with this entry; return what differs, or None. Raises `OSError`."""
+        """Compare a file with this manifest entry; return what differs, or None. Raises `OSError`."""
         if (length := path.stat().st_size) != self.length:
             return f"{length} bytes instead of {self.length}"
         return None if files.digest_file(path) == self.sha256 else "its content has changed"
 
 
 def format_line(entry: ManifestEntry) -> str:
-    """Return the entry as a line of the manifest: a digest of the text, then the text (JSON)."""
+    """Format a manifest entry as a line: a digest of the text, then the text (JSON)."""
     text = json.dumps(asdict(entry))
     return f"{files.digest(text.encode())[:DIGEST_DIGITS]} {text}"
 
@@ -76,7 +76,7 @@ def parse_manifest(folder: Path) -> tuple[list[ManifestEntry], list[int]]:
 
 
 def entry_from_json(values: Mapping[str, Any]) -> ManifestEntry:
-    """Make an entry of the members that JSON holds.
+    """Make a manifest entry from parsed JSON values.
 
     Args:
         values: Members of `ManifestEntry` by name.
@@ -127,12 +127,12 @@ def read_manifest(folder: Path) -> list[ManifestEntry]:
 
 
 def append_entries(folder: Path, *entries: ManifestEntry) -> None:
-    """Append entries to the manifest in one write. Raises `Fault` if the disk refuses it."""
+    """Append entries to the manifest in one write. Raises `Fault` if the disk fails."""
     files.append_line(files.path_inside_folder(folder, MANIFEST_FILE), "\n".join(map(format_line, entries)))
 
 
 def rewrite_manifest(folder: Path, entries: Iterable[ManifestEntry]) -> None:
-    """Replace all entries of the manifest, atomically. Raises `Fault` if the disk refuses it."""
+    """Replace all entries of the manifest atomically. Raises `Fault` if the disk fails."""
     files.write_atomically(
         files.path_inside_folder(folder, MANIFEST_FILE),
         "".join(f"{format_line(entry)}\n" for entry in entries).encode(),
@@ -140,7 +140,7 @@ def rewrite_manifest(folder: Path, entries: Iterable[ManifestEntry]) -> None:
 
 
 def select_current_parts(entries: Sequence[ManifestEntry], labels: str) -> list[ManifestEntry]:
-    """Select the parts that hold a folder's rows.
+    """Select the manifest entries of the files that hold a folder's current rows.
 
     Args:
         entries: Entries of the manifest.

@@ -1,4 +1,4 @@
-"""Find listed alternatives, such as gaits, that fail before anything else is varied."""
+"""Check for values of categorical axes, such as gaits, that fail before anything else is varied."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -14,7 +14,7 @@ MAX_LEVELS_PER_AXIS = 12  # tried on an axis, as each level compiles a program
 
 
 class FailingLevel(NamedTuple):
-    """A level of a categorical axis, such as a gait, with which the nominal rollout does not succeed."""
+    """A value of a categorical axis, such as a gait, whose nominal rollout does not succeed."""
 
     axis: str
     value: str
@@ -29,7 +29,7 @@ class FailingLevel(NamedTuple):
 
 
 def find_failing_levels(exp: Experiment) -> list[FailingLevel]:
-    """Find the levels of categorical axes with which the nominal rollout does not succeed.
+    """Find the values of categorical axes, such as gaits, whose nominal rollouts do not succeed.
 
     Each level is simulated once, with all other parameters nominal.
 

@@ -1,4 +1,4 @@
-"""Reading of Parquet files that may come from a stranger: what they expand to is checked before memory is taken.
+"""Reading of untrusted Parquet files: their expanded size is checked before memory is allocated.
 
 A few kB of Parquet can stand for any number of rows, as repeated values take no room, and for any amount of text.
 """
@@ -81,7 +81,7 @@ def read_parquet(path: Path, columns: Sequence[str] | None = None, has_row_names
 
 
 def column_names(path: Path, metadata: pq.FileMetaData) -> list[str]:
-    """Return the names of a table's columns.
+    """Return the column names of a Parquet file.
 
     Args:
         path: Where the file is from, for messages.
@@ -102,7 +102,7 @@ def column_names(path: Path, metadata: pq.FileMetaData) -> list[str]:
 
 
 def decoded_schema(schema: pa.Schema) -> pa.Schema:
-    """Return the names and types that `read_parquet` gives the columns of a file.
+    """Return the names and types that `read_parquet` gives to the columns of a file.
 
     Args:
         schema: Arrow schema of the file.
@@ -113,7 +113,7 @@ def decoded_schema(schema: pa.Schema) -> pa.Schema:
 
 
 def check_expansion(path: Path, total: int, size: int) -> None:
-    """Refuse files that expand to more memory than their size warrants.
+    """Raise an error if a file expands to more memory than its size warrants.
 
     Args:
         path: The file, or the folder of several, for messages.

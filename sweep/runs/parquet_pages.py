@@ -1,4 +1,4 @@
-"""Sizes that the pages of a Parquet file declare for themselves, read without unpacking them.
+"""Uncompressed sizes that the pages of a Parquet file declare, read without decompressing them.
 
 The end of a Parquet file repeats these sizes for each column, and Arrow neither compares the two nor limits a page: 50
 kB may declare 1 kB there and unpack to 2 GB. The headers of pages are Thrift structs in the compact protocol
@@ -17,7 +17,7 @@ DEEPEST = 8  # structs and lists in each other; those of a page have 3
 
 
 def iterate_page_sizes(source: Any, start: int, length: int) -> Iterator[int]:
-    """Yield what each page of a column chunk declares to unpack to (bytes), its header included.
+    """Yield the uncompressed size (bytes, header included) that each page of a column chunk declares.
 
     Args:
         source: The open file, an Arrow file with `read_at`.

@@ -1,4 +1,4 @@
-"""Comparison of finished rows with the points table: a folder may come from a stranger, or have been edited."""
+"""Comparison of finished rows with the points table, since a folder may be untrusted or edited."""
 
 from collections.abc import Collection
 
@@ -14,7 +14,7 @@ MAX_BATCH_WIDTH = 20_000_000  # rollouts of a batch: as many as a study may have
 
 
 class AssignedPoints:
-    """Points of a folder with their batches and slots (`points.parquet`), indexed by batch."""
+    """Points of a folder with their batches and slots (`points.parquet`), indexed by batch number."""
 
     def __init__(self, assigned: pd.DataFrame, name: str):
         """Check the assigned points, and sort them by batch and slot.
@@ -51,7 +51,7 @@ class AssignedPoints:
         return set(np.unique(self._batches).tolist())
 
     def select_batches(self, batches: Collection[int]) -> tuple[pd.DataFrame, np.ndarray]:
-        """Return the points of some batches by batch and slot, and their keys, see `place_keys`."""
+        """Return the points of some batches sorted by batch and slot, and their sortable keys."""
         numbers = np.sort(np.fromiter(batches, dtype=np.int64, count=len(batches)))
         first, last = (np.searchsorted(self._batches, numbers, side) for side in ("left", "right"))
         if len(numbers) and (first[1:] == last[:-1]).all():  # one after the other

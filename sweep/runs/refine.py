@@ -1,4 +1,4 @@
-"""Refinement of a map: simulate only where rollouts add information, in rounds of whole batches.
+"""Adaptive refinement of a map: simulate only where rollouts add information, in rounds of whole batches.
 
 With `study.resolution`, cells of the grid whose corners differ in outcome are halved along every axis until they are
 small enough. With `study.budget` and noise or draws, points whose confidence interval contains `study.level` get more
@@ -30,7 +30,7 @@ MISSING_LABEL, INVALID_LABEL, FAILURE_LABEL, SUCCESS_LABEL = -2, -1, 0, 1
 
 @dataclass(frozen=True)
 class Lattice:
-    """The finest grid that refinement may reach; a cell of the study's own grid is 2^`halvings` lattice cells wide."""
+    """The finest grid of a refined map; each cell of the study's own grid is 2^`halvings` lattice cells wide."""
 
     axes: tuple[Axis, ...]
     values: tuple[np.ndarray, ...]  # along each axis
@@ -42,13 +42,13 @@ class Lattice:
         return tuple(len(v) for v in self.values)
 
     def indices(self, rows: pd.DataFrame) -> tuple[np.ndarray, ...]:
-        """Return the index (rows,) of every row's point along each axis."""
+        """Return the lattice index (rows,) of every row's point along each axis."""
         columns = [rows[a.column].to_numpy(dtype=float) for a in self.axes]
         return tuple(np.searchsorted((v[1:] + v[:-1]) / 2, c) for v, c in zip(self.values, columns, strict=True))
 
 
 def make_lattice(study: Study) -> Lattice:
-    """Return the finest grid that a refined study may reach.
+    """Return the finest grid that the refinement of a study may reach.
 
     Args:
         study: A study with `resolution` or `budget`.
@@ -83,7 +83,7 @@ def make_lattice(study: Study) -> Lattice:
 
 
 def check_refinable(study: Study, first_grid: pd.DataFrame) -> None:
-    """Check that a study can be refined.
+    """Raise `InputError` unless a study can be refined.
 
     Args:
         study: The study.
@@ -100,7 +100,7 @@ def check_refinable(study: Study, first_grid: pd.DataFrame) -> None:
 
 
 def iter_panels(study: Study, rows: pd.DataFrame) -> Iterator[tuple[dict[str, str], pd.DataFrame]]:
-    """Split rows by the categorical axes; each combination of their levels is a panel, refined on its own.
+    """Split rows by the categorical axes into panels, each of which is refined separately.
 
     Args:
         study: The study.
@@ -142,7 +142,7 @@ def iter_jobs(exp: Experiment, folder: Path, first_grid: pd.DataFrame) -> Iterat
 
 
 def next_points(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
-    """Return the rollouts to simulate after those in `rows`.
+    """Return the rollouts to simulate next, given the finished `rows`.
 
     Args:
         exp: Experiment of the study.
@@ -214,7 +214,7 @@ def _undecided_points(study: Study, counts: LatticeCounts) -> np.ndarray:
 
 
 def label_points(study: Study, counts: LatticeCounts) -> np.ndarray:
-    """Label every lattice point.
+    """Return the outcome label of every lattice point that has one.
 
     Args:
         study: The study, with its `level`.
@@ -248,7 +248,7 @@ def select_lattice_points(study: Study, grid: Lattice, counts: LatticeCounts) ->
 
 
 def draw_audit_points(study: Study, wanted: np.ndarray) -> np.ndarray:
-    """Draw `study.audit` random lattice points among those that bisection left out.
+    """Draw `study.audit` random lattice points from those that bisection skipped.
 
     Args:
         study: The study.
@@ -264,7 +264,7 @@ def draw_audit_points(study: Study, wanted: np.ndarray) -> np.ndarray:
 
 
 def bisect_cells(labels: np.ndarray, halvings: int) -> np.ndarray:
-    """Select lattice points by halving cells that disagree, as far as labels are there.
+    """Select lattice points by halving cells whose corners have different labels.
 
     A cell disagrees where both a success and a failure lie in it or on its border. So a boundary that leaves a halved
     cell through a side is followed into the next cell.
@@ -304,7 +304,7 @@ def _cell_windows(array: np.ndarray, size: int) -> np.ndarray:
 
 
 def leaf_cells(labels: np.ndarray, halvings: int) -> tuple[np.ndarray, ...]:
-    """Return the cells at which bisection ends.
+    """Return the smallest cells, at which bisection ends.
 
     Args:
         labels: Labels of the lattice points that bisection needed; MISSING elsewhere.
@@ -323,7 +323,7 @@ def leaf_cells(labels: np.ndarray, halvings: int) -> tuple[np.ndarray, ...]:
 
 
 def fill_cells(labels: np.ndarray, halvings: int) -> np.ndarray:
-    """Fill in the labels of lattice points within cells whose corners agree and in which nothing disagrees.
+    """Fill in labels inside cells whose corners agree and that contain no other label.
 
     Args:
         labels: Label of every lattice point.
@@ -347,7 +347,7 @@ def fill_cells(labels: np.ndarray, halvings: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class RefinedPanel:
-    """Result of refinement in one panel: the labelled lattice, its cells, and how well filled-in labels hold."""
+    """Result of refinement in one panel: the labelled lattice, its cells, and the error of filled-in labels."""
 
     level_names: dict[str, str]  # level of each categorical axis, by axis name
     lattice: Lattice
@@ -438,7 +438,8 @@ def total_effects(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def rows_with_filled_cells(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
-    """Add a row for every lattice point whose label was filled in, so that a map has no holes.
+    """Return the rows with an additional row for each lattice point whose label was filled in, so that a map has no
+    holes.
 
     Args:
         exp: Experiment of the study.

@@ -1,4 +1,4 @@
-"""Check a folder against its manifest and its points table, and repair it as far as the rest of it tells how."""
+"""Check of a study's folder against its manifest and points table, and repair of damaged parts."""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -56,7 +56,7 @@ def verify_folder(folder: Path) -> tuple[list[str], list[str], int]:
 
 
 def repair_files(folder: Path, study: str, labels: str) -> list[str]:
-    """Repair a folder: drop damaged files from the manifest, list sound parts that it lacks, rebuild lost points.
+    """Repair a study's folder: drop damaged files from the manifest, add valid unlisted files, rebuild lost points.
 
     The caller holds the folder's lock.
 
@@ -111,7 +111,7 @@ def repair_files(folder: Path, study: str, labels: str) -> list[str]:
 
 
 def rebuild_points(folder: Path, parts: Sequence[ManifestEntry]) -> pd.DataFrame:
-    """Return the assigned points of `parts`, from the leading columns of their rows."""
+    """Return the points table, rebuilt from the leading columns of finished rows."""
     rows = pd.concat([store.read_part(folder, entry) for entry in parts], ignore_index=True)
     return rows[list(rows.columns[: rows.columns.get_loc("run_id")])]
 
@@ -182,14 +182,14 @@ def _belongs(folder: Path, entry: ManifestEntry, kept: Sequence[ManifestEntry], 
 
 
 def remove_parts(folder: Path, entries: Sequence[ManifestEntry]) -> None:
-    """Remove parts from the manifest, then their files. Raises `Fault` if the disk refuses it."""
+    """Remove files of rows from the manifest, then delete them. Raises `Fault` if the disk fails."""
     manifest.rewrite_manifest(folder, [entry for entry in manifest.read_manifest(folder) if entry not in entries])
     for entry in entries:
         path_inside_folder(folder, entry.file).unlink(missing_ok=True)
 
 
 def merge_small_parts(folder: Path, planned: pd.DataFrame) -> None:
-    """Merge small neighbouring parts, since ten thousand files are slow to read.
+    """Merge small neighbouring files of rows, since many files are slow to read.
 
     A process killed at any moment leaves all rows listed, and at most files that `repair_files` removes.
 

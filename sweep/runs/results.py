@@ -1,4 +1,4 @@
-"""Finished rows of a study's folder, as reports read them."""
+"""Finished rows of a study's folder, as reports and analyses read them."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ class Results:
 
     @cached_property
     def axes(self) -> list[str]:
-        """Columns that vary: of the study's axes, or of its table of points."""
+        """Columns that vary: those of the study's axes, or of its table of points."""
         listed = [] if self.exp.study.points else [axis.column for axis in self.exp.study.axes]
         every = listed or parameter_columns(self.rows)
         return [c for c in every if c in self.rows and has_several_values(self.rows[c])]
@@ -73,7 +73,8 @@ class Results:
 
     @cached_property
     def regional_sensitivity(self) -> pd.DataFrame:
-        """Parameters by how much they matter, see `sensitivity.regional_sensitivity`; empty if all outcomes agree."""
+        """Parameters ranked by how much their distributions differ between successes and failures; empty if all
+        outcomes agree."""
         try:
             return sensitivity.regional_sensitivity(self.rows, self.exp)
         except InputError:
@@ -101,7 +102,7 @@ def load_experiment(folder: Path) -> Experiment:
 
 
 def empty_rows(folder: Path, exp: Experiment) -> pd.DataFrame:
-    """Return a table without rows, with columns and types of a folder's rows; conditions may use its axes' names.
+    """Return a table without rows that has the columns and types of a folder's rows; conditions may use names of axes.
 
     Args:
         folder: Folder of the study.
@@ -116,7 +117,7 @@ def empty_rows(folder: Path, exp: Experiment) -> pd.DataFrame:
 def iterate_matching_rows(
     folder: Path, exp: Experiment, columns: Sequence[str], where: str | None = None
 ) -> Iterator[tuple[pd.DataFrame, int]]:
-    """Yield the finished rows that meet a condition, part by part, so that few of them are in memory.
+    """Yield the finished rows that meet a condition, file by file to limit memory.
 
     Args:
         folder: Folder of the study.

@@ -1,4 +1,4 @@
-"""Run a study: from an experiment to finished rows in its folder, and from a row back to its rollout."""
+"""Running of a study: from an experiment to finished rows in its folder, and from a row back to its rollout."""
 
 import socket
 import time
@@ -49,7 +49,7 @@ ProgressCallback = Callable[[pd.DataFrame], None]  # receives these columns of e
 
 @dataclass
 class RunRecord:
-    """What `study.yaml` records of a run as engines are made and batches finish."""
+    """Facts about a run that `study.yaml` stores, collected as engines are made and batches finish."""
 
     stages: dict[int, list[str]] = field(default_factory=dict)  # of the plan, by group
     devices: list[str] = field(default_factory=list)
@@ -72,7 +72,7 @@ class Job:
 
     @cached_property
     def labels_digest(self) -> str:
-        """Digest of the thresholds that judge the rows."""
+        """Digest of the thresholds by which rows are labelled."""
         return labels_id(self.exp.values)
 
     def missing_batches(self) -> list[int]:
@@ -85,7 +85,7 @@ class Job:
         return self.table.groupby("batch").indices  # pyright: ignore[reportReturnType]
 
     def points_of_batches(self, batches: list[int]) -> pd.DataFrame:
-        """Return the points of `batches`, in the table's order."""
+        """Return the points of the given batches, in the order of the points table."""
         if self.wanted_batches == {*batches} and self.table["batch"].nunique() == len(
             batches
         ):  # no copy of millions of rows
@@ -146,7 +146,7 @@ def count_unassigned_points(exp: Experiment, table: pd.DataFrame, wanted: pd.Dat
 
 
 def prepare_job(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
-    """Assign the wanted points to batches in a study's folder; batches that it has keep their points. Writes nothing.
+    """Assign the wanted points to batches of a study's folder without writing; existing batches keep their points.
 
     Args:
         exp: Experiment of the study.
@@ -174,7 +174,7 @@ def prepare_job(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
 
 
 def repair_folder(exp: Experiment, folder: Path) -> list[str]:
-    """Repair a study's folder before a run, as far as the experiment and its files tell how.
+    """Repair a study's folder before a run, as far as the experiment and the remaining files allow.
 
     Args:
         exp: Experiment that is to run in the folder.
@@ -212,7 +212,7 @@ def repair_folder(exp: Experiment, folder: Path) -> list[str]:
 
 
 def refuse_other_study(stored: Mapping[str, Any], exp: Experiment, folder: Path) -> None:
-    """Check that new rows would belong with those in a folder.
+    """Raise `InputError` unless new rows of the experiment belong with the rows in a folder.
 
     Args:
         stored: Content of the folder's `study.yaml`.
@@ -238,7 +238,7 @@ def refuse_other_study(stored: Mapping[str, Any], exp: Experiment, folder: Path)
 
 
 def describe_changed_axes(exp: Experiment, folder: Path) -> list[str]:
-    """Return a note for each axis whose listed values differ between a folder and the study that is to run in it.
+    """Return a note for each axis whose listed values differ between a folder and the study that will run in it.
 
     The folder then holds the points of both.
 
@@ -275,12 +275,12 @@ def study_id(values: Mapping[str, Any]) -> str:
 
 
 def labels_id(values: Mapping[str, Any]) -> str:
-    """Return the digest of what judges rows: thresholds and code."""
+    """Return the digest of thresholds and code by which rows are labelled."""
     return store.digest([values["outcome"], provenance.code_version()])
 
 
 def run_job(job: Job, progress: ProgressCallback, dispatch: DispatchFunction = map) -> Job:
-    """Simulate the missing batches of a job; every batch is stored when it is done.
+    """Simulate the missing batches of a job; each batch is stored as soon as it is done.
 
     Batches that do not fit into a device's memory are assigned anew, at half the width.
 
@@ -326,7 +326,7 @@ def run_job(job: Job, progress: ProgressCallback, dispatch: DispatchFunction = m
 
 
 def list_finished_part(job: Job, done: "FinishedBatch", entry: ManifestEntry) -> pd.DataFrame:
-    """List the part that a worker wrote, so that its rows count.
+    """Add the file of rows that a worker wrote to the manifest, so that its rows count.
 
     Args:
         job: The job.
@@ -351,7 +351,7 @@ def list_finished_part(job: Job, done: "FinishedBatch", entry: ManifestEntry) ->
 
 
 def limit_last_states(folder: Path, recordings: tuple[ManifestEntry, ...]) -> list[ManifestEntry]:
-    """Return the recordings to keep; delete last states of invalid rows beyond the folder's limit.
+    """Return the recordings to keep; delete last states of invalid rows beyond the limit per folder.
 
     Workers do not know of each other, so together they may record too many.
     """
@@ -365,7 +365,7 @@ def limit_last_states(folder: Path, recordings: tuple[ManifestEntry, ...]) -> li
 def iter_batches(
     job: Job, missing: list[int], record: RunRecord, out_of_memory: Collection["FinishedBatch"]
 ) -> Iterator[int]:
-    """Yield the numbers of missing batches; make the engine of each group, and record it, before its first batch.
+    """Yield the numbers of missing batches; compile the engine of each group before its first batch.
 
     An impossible plan is thus refused here, before a worker sees it.
 
@@ -389,7 +389,7 @@ def iter_batches(
 
 
 def halve_batch_width(job: Job, out_of_memory: list["FinishedBatch"]) -> Job:
-    """Return the job with too wide batches assigned anew, at half the width.
+    """Return the job with batches that were too large for memory reassigned at half the width.
 
     These are all unfinished batches of the group and width of a batch that ran out of memory.
     """
@@ -407,7 +407,7 @@ def halve_batch_width(job: Job, out_of_memory: list["FinishedBatch"]) -> Job:
 
 @dataclass(frozen=True)
 class FinishedBatch:
-    """What a worker reports of a batch, whose rows it has written."""
+    """Report of a worker on a batch whose rows it has written."""
 
     batch: int
     host: str
@@ -463,7 +463,7 @@ def simulate_on_worker(folder: Path, version: str, code: str, number: int) -> Fi
 def last_states_of_invalid_rows(
     job: Job, engine: Engine, rows: pd.DataFrame, finished: pd.DataFrame
 ) -> list[pd.DataFrame]:
-    """Return the last states of a batch's invalid rows, as far as the folder has room for more.
+    """Return the last states of a batch's invalid rows, up to the limit per folder.
 
     Args:
         job: The job.
@@ -498,14 +498,14 @@ def _read_job(folder: Path, version: str) -> Job:
 
 
 def write_description(job: Job, record: RunRecord) -> None:
-    """Write `study.yaml`: configuration, number of rollouts, versions, and what the run has recorded so far."""
+    """Write `study.yaml`: configuration, number of rollouts, versions, and the facts recorded so far."""
     about = {"config": job.exp.values, "rollouts": len(job.table) + job.unassigned_points, "labels": job.labels_digest}
     there = {"stages": record.stages, "devices": record.devices, **provenance.version_record()}
     store.write_study(job.folder, about | there)
 
 
 def simulate_batch(exp: Experiment, engine: Engine, rows: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame | None]:
-    """Simulate the points of one batch and judge them.
+    """Simulate the points of one batch and label their outcomes.
 
     Args:
         exp: Experiment of the study.
@@ -534,7 +534,7 @@ def simulate_batch(exp: Experiment, engine: Engine, rows: pd.DataFrame) -> tuple
 
 
 def prepare_single_batch(exp: Experiment) -> tuple[Experiment, pd.DataFrame]:
-    """Assign all points of a study to batches that are not stored, as for a nominal rollout.
+    """Make the batches of a study that is not stored, such as a nominal rollout.
 
     Returns:
         The experiment with a batch width and delay buffers, and the points with their batch.
@@ -562,7 +562,7 @@ def run_single_batch(exp: Experiment) -> pd.DataFrame:
 
 
 def relabel(folder: Path, outcome: Mapping[str, Any]) -> None:
-    """Judge all stored rows of a folder by other thresholds, without simulating.
+    """Label all stored rows of a folder again by other thresholds, without simulating.
 
     New parts are written beside the old ones and count once study.yaml has their digest: all rows are judged anew, or
     none.

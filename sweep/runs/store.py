@@ -1,4 +1,4 @@
-"""Files of a study's folder: description, points, finished rows, log. Every file is written whole or not at all.
+"""Files of a study's folder: description, points, finished rows, log. Each file is written atomically.
 
 The manifest says which files count, see `manifest`.
 """
@@ -42,11 +42,11 @@ METADATA_KEY = b"sweep"  # of the Parquet metadata with a part's study, threshol
 
 
 class DamagedFile(InputError):
-    """A file is lost or has changed since it was written; `sweep run` repairs it."""
+    """Error: a stored file is missing or has changed since it was written; `sweep run` repairs it."""
 
 
 def refuse_foreign_folder(folder: Path) -> None:
-    """Raise `InputError` where `folder` holds files but no results."""
+    """Raise `InputError` if `folder` contains files but no results."""
     try:
         names = sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
     except FileNotFoundError:
@@ -59,7 +59,8 @@ def refuse_foreign_folder(folder: Path) -> None:
 
 @contextlib.contextmanager
 def lock_folder(folder: Path) -> Iterator[None]:
-    """Lock a study's folder for this process; create it if missing and delete what a killed process left half-written.
+    """Context that locks a study's folder for this process, after creating it if necessary and removing unfinished
+    files.
 
     Raises:
         InputError: The folder cannot be written, or another process holds its lock.
@@ -84,7 +85,7 @@ def lock_folder(folder: Path) -> Iterator[None]:
 
 
 def write_study(folder: Path, content: Mapping[str, Any]) -> None:
-    """Write `study.yaml`: configuration, versions, devices. Raises `Fault` if the disk refuses it."""
+    """Write `study.yaml`: configuration, versions, devices. Raises `Fault` if the disk fails."""
     text = yaml.safe_dump({"format": FOLDER_FORMAT, **content}, sort_keys=False, allow_unicode=True)
     files.write_atomically(
         path_inside_folder(folder, STUDY_FILE), f"{text}{CHECKSUM_PREFIX}{files.digest(text.encode())}\n".encode()
@@ -131,12 +132,12 @@ def read_study(folder: Path) -> dict[str, Any]:
 
 
 def digest(values: Any) -> str:
-    """Return a digest of plain values, 16 hexadecimal digits."""
+    """Return a digest of plain values as 16 hexadecimal digits."""
     return files.digest(json.dumps(values, sort_keys=True).encode())[:16]
 
 
 def write_points(folder: Path, points: pd.DataFrame) -> None:
-    """Write all points of a study, with their group, batch and slot. Raises `Fault` if the disk refuses it."""
+    """Write all points of a study with their groups, batches and slots. Raises `Fault` if the disk fails."""
     content = _to_parquet(pa.Table.from_pandas(points, preserve_index=False), {})
     entry = ManifestEntry(POINTS_FILE, len(content), files.digest(content))
     # listed before it is written: any listed points table counts as sound, so a kill in between does no harm
@@ -169,7 +170,7 @@ def read_points(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFr
 
 
 def to_pandas(table: pa.Table) -> pd.DataFrame:
-    """Convert a table to pandas for reading only, without copies where that is possible; `table` is used up."""
+    """Convert an Arrow table to a read-only pandas table, without copies if possible; the Arrow table is consumed."""
     return table.to_pandas(self_destruct=True, split_blocks=True)
 
 
@@ -184,7 +185,7 @@ def _to_parquet(table: pa.Table, about: Mapping[str, Any]) -> bytes:
 
 
 def write_part(folder: Path, rows: pd.DataFrame, study: str, labels: str) -> ManifestEntry:
-    """Write finished rows of one or more batches to a part, which counts once it is listed in the manifest.
+    """Write finished rows of one or more batches to a file, which counts once the manifest lists it.
 
     Args:
         folder: Folder of the study.
@@ -202,7 +203,7 @@ def write_part(folder: Path, rows: pd.DataFrame, study: str, labels: str) -> Man
 
 
 def write_table(folder: Path, table: pa.Table, study: str, labels: str) -> ManifestEntry:
-    """Write an Arrow table of finished rows to a part; see `write_part`."""
+    """Write an Arrow table of finished rows to a file, which counts once the manifest lists it."""
     batches, ids = (tuple(sorted(table[name].unique().to_pylist())) for name in ("batch", "run_id"))
     return _write_listed(
         folder, f"{PARTS_FOLDER}/part-{batches[0]:06d}", table, ManifestEntry("", 0, "", batches, study, labels, ids)
@@ -210,7 +211,7 @@ def write_table(folder: Path, table: pa.Table, study: str, labels: str) -> Manif
 
 
 def write_recording(folder: Path, name: str, rows: pd.DataFrame, study: str) -> ManifestEntry:
-    """Write a file that goes with the parts, such as time histories; it counts once it is listed in the manifest.
+    """Write a recording, such as time series, to a file, which counts once the manifest lists it.
 
     Args:
         folder: Folder of the study.
@@ -241,7 +242,7 @@ def _write_listed(folder: Path, name: str, table: pa.Table, about: ManifestEntry
 
 
 def list_recordings(folder: Path, subfolder: str) -> list[ManifestEntry]:
-    """Return the listed files of a subfolder; of files with one name, as after a repeated batch, the last.
+    """Return the valid recordings of a subfolder; of several with one name, as after a repeated batch, the last.
 
     Args:
         folder: Folder of the study.
@@ -255,7 +256,8 @@ def list_recordings(folder: Path, subfolder: str) -> list[ManifestEntry]:
 
 
 def list_current_parts(folder: Path) -> list[ManifestEntry]:
-    """Return the parts that hold a folder's rows: listed in its manifest, and judged by its present thresholds.
+    """Return the files that hold a folder's current rows: listed in its manifest and labelled by its present
+    thresholds.
 
     Raises:
         InputError: The manifest is missing or damaged.
@@ -283,7 +285,7 @@ def count_rollouts(folder: Path) -> tuple[int, int]:
 
 
 def read_part(folder: Path, entry: ManifestEntry) -> pd.DataFrame:
-    """Return the rows of one part.
+    """Return the rows in one file.
 
     Args:
         folder: Folder of the study.
@@ -305,7 +307,7 @@ def last_seconds_per_rollout(folder: Path) -> float | None:
 
 
 def read_table(folder: Path, entry: ManifestEntry, columns: Sequence[str] | None = None) -> pa.Table:
-    """Read a listed file as an Arrow table.
+    """Read a file that the manifest lists as an Arrow table.
 
     Args:
         folder: Results folder of a study.
@@ -369,7 +371,7 @@ def _join_parts(tables: list[pa.Table], names: Sequence[str]) -> pd.DataFrame:
 
 
 def iterate_parts(folder: Path, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
-    """Yield finished rows part by part, in the order of their batches. A run may merge parts meanwhile.
+    """Yield finished rows file by file, in the order of their batches; a run may merge files meanwhile.
 
     Args:
         folder: Results folder of a study.
@@ -425,7 +427,7 @@ def list_columns(folder: Path) -> list[str]:
 
 
 def read_column_types(folder: Path) -> pd.DataFrame:
-    """Return a table without rows that has the columns of the finished rows and their types, without reading rows.
+    """Return an empty table with the columns and types of the finished rows, without reading rows.
 
     Args:
         folder: Results folder of a study.

@@ -1,4 +1,4 @@
-"""Time series of stored rollouts: histories by `study.keep`, and last states of the first invalid rows.
+"""Time series of stored rollouts: columns by `study.keep`, and last states of the first invalid rows.
 
 Each batch's histories are one file, and so are the last states of each invalid row; the manifest lists them like parts.
 """
@@ -25,18 +25,19 @@ MAX_NUMBERS = 500_000_000  # of 4 bytes, in the histories of a study
 
 
 def make_time_series_request(exp: Experiment, settings: EngineSettings) -> TimeSeriesRequest:
-    """Return which columns the engine records, and how often, for a study's `keep`."""
+    """Return which columns the engine should record and how often, as the study's `keep` demands."""
     every = max(1, round(1 / (exp.study.keep_rate * settings.control_period)))
     return TimeSeriesRequest(exp.study.keep, every, exp.study.keep_rows)
 
 
 def slots_with_time_series(exp: Experiment, rows: pd.DataFrame) -> np.ndarray:
-    """Return the slots of a batch whose histories the study keeps; `rows` are indexed as in the table of all points."""
+    """Return the slots of a batch whose time series the study keeps; `rows` are indexed as in the table of all
+    points."""
     return np.flatnonzero(rows.index < exp.study.keep_rows) if exp.study.keep else np.zeros(0, int)
 
 
 def check_history_size(exp: Experiment, table: pd.DataFrame) -> int:
-    """Estimate how many numbers the histories of a study hold.
+    """Estimate how many numbers the time series of a study contain, and raise `InputError` if too many.
 
     Args:
         exp: Experiment of the study.
@@ -65,7 +66,7 @@ def check_history_size(exp: Experiment, table: pd.DataFrame) -> int:
 def time_series_table(
     rows: pd.DataFrame, samples: np.ndarray, time: np.ndarray, until: np.ndarray, columns: Sequence[str]
 ) -> pd.DataFrame:
-    """Return histories of n rows as a table, one rollout below the other.
+    """Return the time series of n rows as a table, one rollout below the other.
 
     Args:
         rows: The n rows.
@@ -88,7 +89,7 @@ def time_series_table(
 def histories_table(
     finished: pd.DataFrame, slots: np.ndarray, samples: np.ndarray, watched: TimeSeriesRequest, period: float
 ) -> pd.DataFrame:
-    """Return the histories of a batch as a table, see `time_series_table`.
+    """Return the time series of a batch as a table.
 
     Args:
         finished: Finished rows of the batch.
@@ -105,7 +106,7 @@ def histories_table(
 def simulate_last_states(
     exp: Experiment, engine: Engine, task: Batch, finished: pd.DataFrame, limit: int
 ) -> list[pd.DataFrame]:
-    """Record how invalid rows of a batch ended: every control tick of the last second before their cause.
+    """Record every control tick of the last second of a batch's invalid rollouts, before their cause.
 
     The batch is simulated once more for it, so that batches without invalid rows take no longer.
 
@@ -133,7 +134,7 @@ def simulate_last_states(
 
 
 def read_histories(folder: Path) -> pd.DataFrame:
-    """Return the histories in a folder: the columns that identify a row, `time_s`, and the study's `keep`.
+    """Return the time series in a folder: columns that identify a row, `time_s`, and the columns of the study's `keep`.
 
     Raises:
         InputError: The folder holds no histories, or a file is damaged.
@@ -147,7 +148,7 @@ def read_histories(folder: Path) -> pd.DataFrame:
 def write_recordings(
     folder: Path, study: str, batch: int, table: pd.DataFrame | None, states: Sequence[pd.DataFrame]
 ) -> tuple[ManifestEntry, ...]:
-    """Write the recordings of a batch and return their entries for the manifest.
+    """Write the recordings of a batch; return their manifest entries.
 
     Args:
         folder: Folder of the study.

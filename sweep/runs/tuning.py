@@ -1,4 +1,4 @@
-"""Search for a plan's numbers, by one of three methods that all resume after an interruption.
+"""Optimisation of a plan's numbers by one of three methods, all of which resume after an interruption.
 
 CMA-ES minimizes the score of the worst draw. Gradient descent (Adam) serves many free numbers. Sequential linear
 programming finds how numbers follow sizes: each program lowers the margins' deficits by their slopes at the point where
@@ -54,7 +54,7 @@ FIRST_RADIUS, MAX_RADIUS, MAX_HALVINGS = (
 def parse_free_numbers(
     numbers: Mapping[str, float], patterns: Sequence[str], formulas: Collection[str] = ()
 ) -> dict[str, float]:
-    """Parse `--free`: which numbers of a plan are searched, and their first steps.
+    """Parse `--free`: the numbers of a plan to optimise, and their initial step sizes.
 
     Args:
         numbers: All numbers of the plan by path.
@@ -85,7 +85,7 @@ def parse_free_numbers(
 
 
 def draw_beliefs(exp: Experiment, seed: int) -> tuple[Any, int]:
-    """Draw the beliefs for which a plan is tuned, by the experiment's study.
+    """Draw the beliefs for which a plan is tuned, as the experiment's study draws parameters.
 
     Args:
         exp: Experiment of the study.
@@ -113,7 +113,7 @@ def search_by_cma(
     log: Path,
     progress: Callable[[int, float], None],
 ) -> tuple[np.ndarray, float]:
-    """Search for the numbers with the least score by CMA-ES.
+    """Minimise the score of a plan's numbers by CMA-ES; return the best numbers.
 
     Args:
         scores: Function from numbers (population, n) to their scores (population,).
@@ -198,7 +198,7 @@ def search_by_gradients(
     log: Path,
     progress: Callable[[int, float], None],
 ) -> np.ndarray:
-    """Search for the numbers with the least mean deficit over all draws, by Adam.
+    """Minimise the mean deficit over all draws by Adam; return the best numbers.
 
     A draw's gradient is cut to the length `MAX_GRADIENT`, so that draws out of reach do not outweigh all others.
 
@@ -240,7 +240,7 @@ def fit_size_slopes(
     log: Path,
     progress: Callable[[int, float], None],
 ) -> np.ndarray:
-    """Find how numbers should follow sizes of robot and obstacle, by sequential linear programming.
+    """Fit how a plan's numbers should change with sizes of robot and obstacle, by sequential linear programming.
 
     A program moves no farther than a trust radius, which halves until the mean `cost_of_draws` falls; if it never does,
     the search ends.
@@ -281,7 +281,8 @@ def fit_size_slopes(
 
 
 def cost_of_draws(deficit: np.ndarray) -> np.ndarray:
-    """Return the cost (draws,) of deficits (draws, margins): the largest of a draw, and a small share of their sum.
+    """Return the cost (draws,) of margin deficits (draws, margins): the largest of each draw plus a small share of
+    their sum.
 
     Costs above `COST_SCALE` grow logarithmically, so that draws out of reach do not outweigh all others.
     """
@@ -339,7 +340,7 @@ def solve_linear_program(
 
 
 def resume_log(log: Path, settings: Mapping[str, Any]) -> list[Any]:
-    """Read the log of a search, or begin one.
+    """Read the log of an interrupted search, or start a new log.
 
     Args:
         log: The file.
@@ -365,5 +366,5 @@ def resume_log(log: Path, settings: Mapping[str, Any]) -> list[Any]:
 
 
 def append_log(log: Path, entry: list[Any]) -> None:
-    """Append an entry to the log of a search, as a line."""
+    """Append an entry to a search's log, as one line."""
     append_line(log, json.dumps(entry))

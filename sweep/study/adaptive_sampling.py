@@ -23,7 +23,7 @@ DEFAULT_LEAD_COLUMN = "margin"  # column that subset simulation follows by defau
 
 
 class RoundDraws(NamedTuple):
-    """Draws of one round of adaptive sampling: a search yields them, and the study simulates them."""
+    """Draws of one round of adaptive sampling, which a search yields and the study simulates."""
 
     quantiles: Float[np.ndarray, "n d"]  # quantiles, before axes are correlated
     numbers: Int[np.ndarray, " n"]  # of the draws: each has noise of its own
@@ -31,13 +31,13 @@ class RoundDraws(NamedTuple):
 
 
 class RoundSummary(NamedTuple):
-    """Outcomes of the rollouts of one round, which the search receives."""
+    """Outcomes of one round's rollouts, which the search receives."""
 
     failed: Bool[np.ndarray, " n"]  # invalid ones among them
     lead: Float[np.ndarray, " n"]  # the smaller, the nearer to failure
 
     def select(self, rows: slice) -> "RoundSummary":
-        """Return the summary of a slice of the draws."""
+        """Return the summary of some of the draws."""
         return RoundSummary(self.failed[rows], self.lead[rows])
 
 

@@ -1,4 +1,4 @@
-"""Analytic limits for a study's maps: `study.theory` names a formula of `sweep.formulas` that bounds a parameter.
+"""Analytic limits of a study's parameters: `study.theory` names a formula of `sweep.formulas` for each.
 
 An input of the formula is a number or an expression of parameters, such as `drive.torque_limit / 77.4`.
 """
@@ -17,7 +17,7 @@ LIMIT_KEYS = ("label", "formula", "output", "of", "inputs", "measured")
 
 @dataclass(frozen=True)
 class AnalyticLimit:
-    """The output of a formula as the limit of a parameter, in that parameter's unit.
+    """A formula's output as the limit of a parameter, in the parameter's unit.
 
     `of` is the path of the parameter without its side.
     """
@@ -45,7 +45,7 @@ class AnalyticLimit:
         return float(outputs[self.output])
 
     def formula_inputs(self, value_of: Callable[[str], Any]) -> dict[str, Any]:
-        """Evaluate the inputs of the formula.
+        """Return the inputs of the formula at given parameter values.
 
         Args:
             value_of: Returns the value of a parameter path.

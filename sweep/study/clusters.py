@@ -1,4 +1,4 @@
-"""Clusters that simulate batches: this process, Dask workers on this machine or at an address, or Slurm jobs.
+"""Where batches are simulated: in this process, by Dask workers on this machine or at an address, or in Slurm jobs.
 
 A cluster distributes only the numbers of batches. Workers read and write the study's folder themselves. Connections use
 TLS with temporary keys, because whoever reaches a Dask scheduler can run code on its workers.
@@ -41,7 +41,7 @@ class WorkerStatus:
 
 @dataclass(frozen=True)
 class LocalCluster:
-    """In this process, one batch after the other; each batch uses all devices."""
+    """Simulate in this process, one batch after the other; each batch uses all devices."""
 
     is_remote: ClassVar[bool] = False  # whether workers have other devices than this machine
     kind: str = choice("local", "local")
@@ -53,7 +53,7 @@ class LocalCluster:
 
 @dataclass(frozen=True)
 class DaskLocalCluster:
-    """Worker processes on this machine."""
+    """Simulate in Dask worker processes on this machine."""
 
     is_remote: ClassVar[bool] = False
     kind: str = choice("dask_local", "dask_local")
@@ -79,7 +79,8 @@ class DaskLocalCluster:
 
 @dataclass(frozen=True)
 class DaskSchedulerCluster:
-    """Workers of a running Dask scheduler. They need this package, and the study's folder at the same path."""
+    """Simulate on the workers of a running Dask scheduler, which need this package, and the study's folder at the same
+    path."""
 
     is_remote: ClassVar[bool] = True
     kind: str = choice("dask_address", "dask_address")
@@ -102,7 +103,8 @@ class DaskSchedulerCluster:
 
 @dataclass(frozen=True)
 class SlurmCluster:
-    """One Slurm job for each worker, submitted from this machine. A job that ends early is submitted again."""
+    """Simulate in Slurm jobs, one for each worker, submitted from this machine. A job that ends early is submitted
+    again."""
 
     is_remote: ClassVar[bool] = True
     kind: str = choice("slurm", "slurm")
@@ -119,7 +121,7 @@ class SlurmCluster:
 
     @contextmanager
     def connect(self, status: WorkerStatus) -> Iterator[DispatchFunction]:
-        """Submit the jobs, and cancel them after this context. Raises `InputError` where sbatch refuses them."""
+        """Submit the Slurm jobs, and cancel them when this context ends. Raises `InputError` if sbatch refuses them."""
         distributed, jobqueue = _dask("distributed", self.kind), _dask("dask_jobqueue", self.kind)
         os.makedirs(self.logs, exist_ok=True)
         cluster = jobqueue.SLURMCluster(
@@ -212,7 +214,7 @@ def _ignore_interrupt() -> None:
 
 
 def explain_scheduler_warning(text: str) -> str:
-    """Explain a warning of a Dask scheduler in one line: a worker that it refused, with the reason, or the warning."""
+    """Shorten a warning of a Dask scheduler to one line, such as a refused worker with the reason."""
     line = " ".join(text.split())
     if found := re.search(r"TLS handshake failed with remote '?(?:\w+://)?([^\s']+?)'?: (.*)", line):
         return (
@@ -328,7 +330,8 @@ class _WorkerWatch:
         self.tasks = tasks
 
     def report_missing_workers(self, is_any: bool, now_s: float) -> None:
-        """Say that no worker has joined, and what the scheduler warned of last, after `JOIN_TIMEOUT_S` and each minute.
+        """Print that no worker has joined, with the scheduler's last warning, after `JOIN_TIMEOUT_S` and then every
+        minute.
 
         Args:
             is_any: whether there is a worker.
@@ -343,7 +346,7 @@ class _WorkerWatch:
         self.no_worker_since_s = now_s + REPEAT_AFTER_S - JOIN_TIMEOUT_S
 
     def report_unfetched(self, future: Any) -> None:
-        """Restart the worker that holds a result but does not send it."""
+        """Restart a worker that holds a result but does not send it."""
         now = time.monotonic()
         waited_s = now - self.first_asked_s.setdefault(future.key, now)
         if waited_s > MIN_TIME_LIMIT_S:
@@ -351,7 +354,7 @@ class _WorkerWatch:
                 self.restart_worker(worker, self.numbers[future.key], waited_s)
 
     def restart_worker(self, worker: str, number: int, waited_s: float) -> None:
-        """Restart a worker, so that its batches go to other workers.
+        """Restart a worker, so that its batches are sent to other workers.
 
         Args:
             worker: Address of the worker.
@@ -365,6 +368,6 @@ class _WorkerWatch:
         self.started_s[worker] = time.monotonic()
 
     def time_limit_s(self, worker: str) -> float:
-        """Return how long a worker may take for a batch, in s."""
+        """Return the time limit (s) of a worker for one batch."""
         usual = MEDIANS_PER_LIMIT * statistics.median(self.durations_s) if self.durations_s else 0.0
         return max(usual, MIN_TIME_LIMIT_S if worker in self.warm_workers else FIRST_BATCH_LIMIT_S)

@@ -1,4 +1,4 @@
-"""Columns of a row: axes (dotted names), place in the study, metrics, labels of its outcome, and timing."""
+"""Names of a row's columns: parameters, position in the study, metrics, outcome labels, and timing."""
 
 from typing import TYPE_CHECKING
 
@@ -38,5 +38,5 @@ COLUMN_MEANINGS = {  # of labels and of what places a row in its study
 
 
 def metric_columns(rows: "pd.DataFrame") -> list[str]:
-    """List the metric columns of a table: all except axes, place in the study, labels and timing."""
+    """Return the metric columns of a table: all except parameters, position in the study, labels and timing."""
     return [c for c in rows.columns if "." not in c and c not in (*PLACEMENT_COLUMNS, *LABEL_COLUMNS, *TIMING_COLUMNS)]

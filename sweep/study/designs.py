@@ -53,7 +53,7 @@ FORMER_SIDE_KEYS = ("on", True)  # what `side` was called; a bare `on` is YAML's
 
 @dataclass(frozen=True)
 class Axis:
-    """One varied parameter; without a path, a number that other axes refer to."""
+    """One varied parameter of a study; without a path, an auxiliary number from which other axes are computed."""
 
     name: str
     path: str | None
@@ -67,17 +67,17 @@ class Axis:
 
     @property
     def target(self) -> str | None:
-        """Column of the points table that holds the values of the parameter; None for an axis without a path."""
+        """Column of the points table with the parameter's values; None for an axis without a path."""
         return self.path if self.path is None or self.side == "both" else f"{self.side}.{self.path}"
 
     @property
     def column(self) -> str:
-        """Column that users read: the values of the parameter, or the number n where that is clearer."""
+        """Column that users read: the parameter's values, or the auxiliary number n if that is clearer."""
         own = self.path is None or self.times is not None or (self.relative is not None and self.values is not None)
         return f"axis.{self.name}" if own else str(self.target)
 
     def nominal_number(self, nominal_of: Callable[[str], Any]) -> Any:
-        """Return the number n at which the parameter has its nominal value.
+        """Return the auxiliary number n at which the parameter has its nominal value.
 
         Args:
             nominal_of: Returns the nominal value of a parameter path.
@@ -102,7 +102,7 @@ class Axis:
 
 
 def refuse_ignored_settings(study: Mapping[str, Any]) -> None:
-    """Raise `InputError` where a newly composed study sets values that its design ignores.
+    """Raise `InputError` if a newly composed study sets values that its design ignores.
 
     Stored studies of earlier versions may have them and stay readable.
     """
@@ -301,7 +301,7 @@ def make_design_table(
     grid: "pd.DataFrame | None" = None,
     round_: adaptive_sampling.RoundDraws | None = None,
 ) -> "pd.DataFrame":
-    """Make the table of grid points and draws.
+    """Make the table of a study's grid points and draws.
 
     The draws are the same at every grid point, so that differences between grid points are not due to the draws.
 
@@ -339,7 +339,7 @@ def make_design_table(
 
 
 def count_points(axes: tuple[Axis, ...], design: Design) -> int:
-    """Count the points of a design, without making them.
+    """Count the points of a design without making them.
 
     Args:
         axes: Axes of the study.
@@ -376,7 +376,7 @@ def _one_at_a_time(axes: list[Axis], nominal_of: Callable[[str], Any]) -> "pd.Da
 
 
 def draw_quantiles(axes: tuple[Axis, ...], design: Design, seed: int) -> np.ndarray:
-    """Draw the quantiles of the drawn axes.
+    """Draw the quantiles (0 to 1) of all drawn axes.
 
     Args:
         axes: Axes of the study.
@@ -393,7 +393,7 @@ def draw_quantiles(axes: tuple[Axis, ...], design: Design, seed: int) -> np.ndar
 
 
 def extreme_draws(axes: tuple[Axis, ...]) -> adaptive_sampling.RoundDraws:
-    """Return two draws with all drawn axes at the lower, and at the upper ends of their ranges."""
+    """Return two draws: all drawn axes at the lower ends of their ranges, and at the upper ends."""
     return adaptive_sampling.RoundDraws(
         np.repeat([[0.0], [1.0]], len(drawn_axis_names(axes)), axis=1), np.arange(2), {}
     )

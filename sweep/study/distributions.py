@@ -29,7 +29,7 @@ class Distribution:
     parameters: Mapping[str, Any]
 
     def quantile(self, share: np.ndarray) -> np.ndarray:
-        """Return the quantile function at probabilities in (0, 1); the result has their shape."""
+        """Return the quantiles of the distribution at probabilities in (0, 1)."""
         low, high = self.parameters.get("from", -math.inf), self.parameters.get("to", math.inf)
         match self.kind:
             case "uniform":
@@ -126,7 +126,7 @@ def _distribution_of_scipy(key: str, kind: str, config: Mapping[str, Any]) -> Di
 
 
 def require_known_keys(path: str, mapping: Any, allowed: tuple[str, ...]) -> dict[str, Any]:
-    """Require a mapping whose keys are all allowed.
+    """Raise `InputError` unless a value is a mapping with only allowed keys.
 
     Args:
         path: Path of the mapping, for messages.
@@ -147,7 +147,7 @@ def require_known_keys(path: str, mapping: Any, allowed: tuple[str, ...]) -> dic
 
 
 def parse_values(key: str, values: Any) -> list[Any]:
-    """Require a list of numbers or of names.
+    """Check that a value is a list of numbers or of names, and return it.
 
     Args:
         key: Path of the list, for messages.
@@ -169,7 +169,7 @@ def parse_values(key: str, values: Any) -> list[Any]:
 
 
 def refuse_spreadsheet_formula(key: str, name: Any) -> None:
-    """Refuse a name that a spreadsheet would compute when it opens a table of results.
+    """Raise `InputError` for a name that a spreadsheet would execute as a formula.
 
     Args:
         key: Path of the name, for messages.
@@ -185,7 +185,7 @@ def refuse_spreadsheet_formula(key: str, name: Any) -> None:
 
 
 def parse_number(key: str, value: Any) -> float:
-    """Require a finite number.
+    """Check that a value is a finite number, and return it.
 
     Args:
         key: Path of the number, for messages.

@@ -48,7 +48,7 @@ class Mixture(NamedTuple):
         return (np.log(self.weights) - size)[None] - 0.5 * ((away**2).sum(axis=1).T + u.shape[1] * np.log(2 * np.pi))
 
     def draw(self, num: int, rng: np.random.Generator) -> Float[np.ndarray, "n d"]:
-        """Draw points from the mixture, with stratified numbers of points from its components.
+        """Draw points from the mixture, with a stratified number of points from each component.
 
         Args:
             num: Number of points, n.
@@ -74,7 +74,7 @@ def isotropic_normal(d: int, width: float, share: float = 1.0) -> Mixture:
 
 
 def start_search(d: int, num: int, wide: float, rounds: int, seed: int) -> SearchGenerator:
-    """Start importance sampling, a search as in `sweep.study.adaptive_sampling`.
+    """Start importance sampling: a generator that yields rounds of draws and receives their outcomes.
 
     Args:
         d: Number of drawn axes.
@@ -116,7 +116,7 @@ def importance_weights(u: Float[np.ndarray, "n d"], rounds: Sequence[Mixture]) -
 
 
 def fit_next_proposal(u: Float[np.ndarray, "n d"], rounds: Sequence[Mixture], wide: float) -> Mixture:
-    """Fit the proposal of the next round to the failures of earlier rounds.
+    """Fit the next round's proposal distribution to the failures of earlier rounds.
 
     Args:
         u: All failures so far as standard-normal numbers, (n, d).
@@ -177,7 +177,7 @@ def fit_mixture(u: Float[np.ndarray, "n d"], weight: Float[np.ndarray, " n"]) ->
 
 
 def assign_modes(mixture: Mixture) -> Int[np.ndarray, " k"]:
-    """Assign the components of a mixture to modes. Two share a mode where the density has no dip between their means.
+    """Assign mixture components to failure modes; two share a mode if the density has no dip between their means.
 
     Args:
         mixture: A mixture of k normals.

@@ -1,4 +1,4 @@
-"""Point ids and noise streams, which identify a rollout; computed for a million rows at once."""
+"""Identifiers and noise streams of rollouts, computed for a million rows at once."""
 
 import hashlib
 from typing import TYPE_CHECKING
@@ -17,12 +17,12 @@ _POWERS = 10.0 ** np.arange(-MOST_POWER, MOST_POWER + 1)
 
 
 def replicate_streams(seed: int, replicates: int) -> np.ndarray:
-    """Return the noise streams (replicates,) of replicates. More replicates leave the first ones as they are."""
+    """Return the noise-stream numbers (replicates,) of replicates; further replicates leave earlier ones unchanged."""
     return (np.random.SeedSequence(seed).generate_state(replicates, np.uint64) >> np.uint64(1)).astype(np.int64)
 
 
 def row_streams(seed: int, table: "pd.DataFrame") -> np.ndarray:
-    """Return the noise streams of rows (n,) from their values, replicate included, whatever their order.
+    """Return the noise-stream numbers (n,) of rows from their values and replicates, independent of row order.
 
     Args:
         seed: Seed of the study.
@@ -38,13 +38,13 @@ def row_streams(seed: int, table: "pd.DataFrame") -> np.ndarray:
 
 
 def point_ids(hashes: np.ndarray) -> np.ndarray:
-    """Return the ids (n,) of points, 16 hexadecimal digits, from their hashes (n,), see `point_hashes`."""
+    """Return the ids (n,) of points as 16 hexadecimal digits, from their hashes (n,)."""
     text = hashes.astype(">u8").tobytes().hex()
     return np.frombuffer(text.encode(), "S16").astype("U16")
 
 
 def point_hashes(table: "pd.DataFrame", system: System) -> np.ndarray:
-    """Hash all physical inputs and the replicate of every row.
+    """Hash all physical inputs and the replicate number of every row.
 
     The hash is a sum over inputs of hashes of name and value, so it is the same whether an input is varied or nominal.
     How a row is simulated does not matter. Inputs that were added later count only where they differ from their

@@ -1,4 +1,4 @@
-"""Studies: axes over parameters of a system, the table of points, and the checks of both.
+"""Studies: axes over parameters of a system, the table of points, and checks of both.
 
 A column of the points table is a parameter path such as `contact.friction`, prefixed `world.` or `belief.` where only
 one of the two varies, or `axis.NAME` for a number from which values are computed (see `sweep.study.designs`).
@@ -41,7 +41,7 @@ Logger = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Expectation:
-    """A bound on the share of rows that match `that` among the valid rows that match `where`."""
+    """A bound on the share of rows that meet the condition `that`, among valid rows that meet `where`."""
 
     where: str | None = None  # condition on columns: the rows that are counted
     that: str = 'outcome == "success"'  # condition that a share of them meets
@@ -51,7 +51,7 @@ class Expectation:
 
 @dataclass(frozen=True)
 class ScenarioSchema:
-    """Hydra schema of a scenario, which is simulated at nominal parameters; `expect` is checked when it runs alone."""
+    """Hydra schema of a scenario, which is simulated at nominal parameters and checked against `expect`."""
 
     name: str = "nominal"
     expect: list[Any] = field(default_factory=list)
@@ -78,7 +78,7 @@ class _PlainSettings:
 
 @dataclass(frozen=True)
 class StudySchema(_PlainSettings):
-    """Hydra schema of a study, which varies parameters of a scenario; `Study.parse` reads it."""
+    """Hydra schema of a study, which varies parameters of a scenario."""
 
     axes: dict[str, Any] = field(default_factory=dict)
     design: Any = field(default_factory=lambda: design_kinds.make_schema()())  # its keys: see `config`
@@ -100,7 +100,7 @@ class Study(_PlainSettings):
 
     @property
     def is_refined(self) -> bool:
-        """Whether the study refines a map: its next points depend on earlier rows."""
+        """Whether the study refines a map, so that its next points depend on earlier rows."""
         return self.resolution > 0 or self.budget > 0
 
     @property
@@ -110,14 +110,14 @@ class Study(_PlainSettings):
 
     @property
     def search_design(self) -> AdaptiveDesign:
-        """The design of a study that samples failures adaptively. Raises `TypeError` for others."""
+        """The adaptive design of the study. Raises `TypeError` for other designs."""
         if not isinstance(self.design, AdaptiveDesign):
             raise TypeError(f"{self.design.kind} is no adaptive design")
         return self.design
 
     @property
     def draw_context(self) -> DrawContext:
-        """What the design receives of the study."""
+        """What the design receives from the study to make draws."""
         return DrawContext(designs.drawn_axis_names(self.axes), self.seed, self.name)
 
     @property
@@ -132,12 +132,12 @@ class Study(_PlainSettings):
 
     @property
     def max_rollouts(self) -> int:
-        """Largest number of rollouts, before equal points are merged."""
+        """Largest possible number of rollouts, before equal points are merged."""
         return self.replicates * designs.count_points(self.axes, self.design)
 
     @classmethod
     def parse(cls, values: Mapping[str, Any], single: bool) -> "Study":
-        """Parse the plain values of a study.
+        """Make a study from its plain configuration values.
 
         Args:
             values: Values by key, as in `StudySchema`.
@@ -225,7 +225,7 @@ def needs_other_engine(column: str, system: System, settings: EngineSettings) ->
 
 
 def name_axes(rows: "pd.DataFrame", axes: Iterable[Axis]) -> "pd.DataFrame":
-    """Let conditions and lists of columns name axes as the study does.
+    """Return rows in which conditions and lists of columns can use the study's names of axes.
 
     Args:
         rows: Rows or points of the study; their columns stay as they are.
@@ -240,12 +240,13 @@ def name_axes(rows: "pd.DataFrame", axes: Iterable[Axis]) -> "pd.DataFrame":
 
 
 def parameter_columns(table: "pd.DataFrame") -> list[str]:
-    """List the columns of a points table that vary a parameter."""
+    """Return the columns of a points table that are varied parameters."""
     return [c for c in table.columns if "." in c and not c.startswith("axis.")]
 
 
 def expand_keep(study: Study, system: System) -> tuple[str, ...]:
-    """Return the time series that `study.keep` names; a name that begins several, such as `qpos`, stands for them.
+    """Return the time-series columns that `study.keep` names; a prefix such as `qpos` stands for all columns that begin
+    with it.
 
     Args:
         study: the study.
@@ -259,7 +260,7 @@ def expand_keep(study: Study, system: System) -> tuple[str, ...]:
 
 
 def check_keep(study: Study, system: System, settings: EngineSettings) -> None:
-    """Require that the time series in `study.keep` exist, and that their rate is allowed.
+    """Raise `InputError` unless the time-series columns in `study.keep` exist and their rate is allowed.
 
     Args:
         study: the study.
@@ -278,7 +279,7 @@ def check_keep(study: Study, system: System, settings: EngineSettings) -> None:
 
 
 def check_expect(study: Study, system: System, points: "pd.DataFrame | None" = None) -> None:
-    """Check that the expectations of a study name columns that its rows will have.
+    """Raise `InputError` unless the expectations of a study use columns that its rows will have.
 
     Args:
         study: The study.
@@ -416,7 +417,7 @@ def _check_values(member: Parameter, values: "pd.Series", column: str, exact: bo
 
 
 def extreme_points(study: Study, system: System, settings: EngineSettings) -> "pd.DataFrame":
-    """Make two points for each grid point: all drawn axes at their lower, and at their upper ends.
+    """Make two points for each grid point, with all drawn axes at their lower and at their upper ends.
 
     Args:
         study: The study.
@@ -470,7 +471,7 @@ def _from_csv(file: str) -> "pd.DataFrame":
 
 
 def replace_settings(settings: EngineSettings, values: ColumnValues) -> EngineSettings:
-    """Return engine settings with the values of a row.
+    """Return engine settings with the values of a row filled in.
 
     Args:
         settings: Engine settings of the study.

@@ -23,7 +23,7 @@ MIN_SEEDS = 10  # rows below it that chains are then begun from instead
 
 
 class LevelRows(NamedTuple):
-    """Rows of one level of a run. A rejected proposal repeats the row before it."""
+    """Rows of one level in a run of subset simulation; a rejected proposal repeats the previous row."""
 
     points: Float[np.ndarray, "n d"]
     draw_numbers: Int[np.ndarray, " n"]  # of their draws
@@ -31,11 +31,11 @@ class LevelRows(NamedTuple):
     lead: Float[np.ndarray, " n"]  # -inf where failed
 
     def select(self, which: np.ndarray) -> "LevelRows":
-        """Return some of the rows, by index or mask."""
+        """Return the rows at some indices or where a mask holds."""
         return LevelRows(*(part[which] for part in self))
 
     def combine_where(self, which: np.ndarray, others: "LevelRows") -> "LevelRows":
-        """Return these rows where the mask `which` (n,) holds, and those of `others` elsewhere."""
+        """Return these rows where the mask `which` (n,) holds, and `others` elsewhere."""
         u = np.where(which[:, None], self.points, others.points)
         return LevelRows(u, *(np.where(which, a, b) for a, b in zip(self[1:], others[1:], strict=True)))
 
@@ -53,7 +53,7 @@ class SubsetRunResult(NamedTuple):
 
 @dataclass(frozen=True)
 class LevelSettings:
-    """Settings of the levels of a run."""
+    """Settings of the levels in a run of subset simulation."""
 
     num: int  # rows of a level
     share: float  # of them that the next level begins with
@@ -81,7 +81,7 @@ class LevelSettings:
 
 
 def start_search(d: int, settings: LevelSettings, runs: int, seed: int) -> SearchGenerator:
-    """Start independent runs of subset simulation side by side, a search as in `sweep.study.adaptive_sampling`.
+    """Start independent runs of subset simulation: a generator that yields rounds of draws and receives their outcomes.
 
     Each round holds one step of all runs. The draws of a run do not depend on the number of runs.
 
@@ -179,7 +179,7 @@ def _explain_end(
 
 
 def choose_next_level(lead: Float[np.ndarray, " n"], settings: LevelSettings) -> tuple[Bool[np.ndarray, " n"], float]:
-    """Choose the rows of the next level, those with the smallest leads.
+    """Choose the rows of the next level: those with the smallest values of the lead metric.
 
     Args:
         lead: Leads of the rows of this level, (n,).

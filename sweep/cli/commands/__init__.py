@@ -79,7 +79,7 @@ def load_command(name: str) -> CommandModule:
 
 
 def providing_package(point: metadata.EntryPoint) -> str:
-    """Name of the installed package that announces an entry point."""
+    """Return the name of the installed package that provides a subcommand's entry point."""
     return escape_control_characters(point.dist.name if point.dist else point.value)
 
 

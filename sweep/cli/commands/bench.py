@@ -53,7 +53,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def measure_rows(nominal: "Case", rollouts: int, width: int, rows: tuple[str, ...]) -> Iterator[dict[str, Any]]:
-    """Yield a result for each of `rows`; width 0 selects the device's best, rollouts 0 one batch."""
+    """Yield the measured speed of each of `rows`; width 0 selects the best batch width of the device, rollouts 0 means
+    one batch."""
     from sweep.backends import program_cache
     from sweep.contract.engine_settings import EngineSettings
 
@@ -69,7 +70,8 @@ def measure_rows(nominal: "Case", rollouts: int, width: int, rows: tuple[str, ..
 
 
 def walk_map_batches(nominal: "Case", rollouts: int, width: int) -> "list[tuple[Case, Case]]":
-    """Make batches of `width` (worlds, beliefs) over the grid of walk_map, for at least `rollouts` points."""
+    """Make batches of `width` (world and belief parameters) over the grid of the study walk_map, for at least
+    `rollouts` points."""
     import numpy as np
 
     from sweep.systems.hexapod import replace_parameter

@@ -21,7 +21,7 @@ complete -o default -F _sweep sweep"""
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the option by which the script passes the line."""
+    """Add the option through which the bash script passes the command line to complete."""
     parser.add_argument("--line", help=argparse.SUPPRESS)
 
 
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def list_completions(before: list[str], word: str) -> list[str]:
-    """List completions: commands, then flags, choices `group=name`, or folders of results.
+    """List completions of the word at the cursor: commands, flags, choices `group=name`, or results folders.
 
     Args:
         before: Words of the line before the one to complete, without `sweep`.

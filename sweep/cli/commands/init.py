@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def template_files(folder: Traversable, above: tuple[str, ...] = ()) -> Iterator[tuple[Traversable, tuple[str, ...]]]:
-    """Yield the files of a new project with their paths in it."""
+    """Yield each file of a project template with its path in the new project."""
     for entry in sorted(folder.iterdir(), key=lambda e: e.name):
         if entry.is_dir() and entry.name != "__pycache__":
             yield from template_files(entry, (*above, entry.name))

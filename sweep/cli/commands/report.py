@@ -105,7 +105,7 @@ def write_pairs_page(args: argparse.Namespace, a: "Results", folder: Path) -> in
 
 
 def save_pictures(results: "Results", folder: Path, chosen: tuple[str, ...]) -> list[Path]:
-    """Save the map of a study, or the overview of its draws; `chosen` are two parameters of the map."""
+    """Save pictures of a study's map, or of the overview of its draws; `chosen` names the two parameters of the map."""
     from sweep.core.plot_style import plot_style, save_figure
     from sweep.report import draws, maps
 

@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def write_rows(args: argparse.Namespace, exp: "Experiment", empty: "pd.DataFrame") -> None:
-    """Write rows as CSV or Parquet, with no more than a few parts of the folder in memory.
+    """Write rows of a study as CSV or Parquet, reading the folder piece by piece to limit memory.
 
     Args:
         args: Arguments of the subcommand.

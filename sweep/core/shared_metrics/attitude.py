@@ -6,7 +6,7 @@ from sweep.core.metric import Array, CommonRollout, CommonStart, CommonTick, Met
 
 
 class Tilt(NamedTuple):
-    """Largest tilt so far (deg), and the base's last orientation."""
+    """State of the tilt metric: largest tilt so far (deg), and the last orientation of the base."""
 
     largest_tilt: Array
     quat: Array
@@ -24,7 +24,7 @@ def update(state: Tilt, ctx: CommonTick) -> Tilt:
 
 
 def tilt_deg(quat: Array, xp: Any) -> Array:
-    """Return the angles (...) by which rotations tilt the vertical.
+    """Return the angles (...) in degrees between body z axis and vertical.
 
     Args:
         quat: Unit quaternions (4, ...): their components first.

@@ -6,7 +6,7 @@ from sweep.core.metric import Array, CommonStart, CommonTick, Metric, array_name
 
 
 class Path(NamedTuple):
-    """Current position of the base, and the length of its path so far (m)."""
+    """State of the path-length metric: current position of the base, and the length of its path so far (m)."""
 
     position: Array
     length: Array

@@ -6,7 +6,7 @@ from sweep.core.metric import Array, CommonStart, CommonTick, Metric, TouchdownP
 
 
 class Slip(NamedTuple):
-    """Touchdown points of the feet, and the largest slip so far (m)."""
+    """State of the slip metric: touchdown points of the feet, and the largest slip so far (m)."""
 
     touchdown_points: TouchdownPoints
     largest_slip: Array

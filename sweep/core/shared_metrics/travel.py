@@ -6,7 +6,8 @@ from sweep.core.metric import Array, CommonRollout, CommonStart, CommonTick, Met
 
 
 class Travel(NamedTuple):
-    """Start and current position of the base (m), its displacement along the command (m), and the time of motion (s).
+    """State of the travel metrics: start and current position of the base (m), displacement along the command (m), time
+    of motion (s).
 
     The way is None where the direction never changes: it follows from the two positions, without a sum's rounding.
     """

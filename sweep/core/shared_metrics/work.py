@@ -9,7 +9,7 @@ def update(state: Array, ctx: CommonTick) -> Array:
 
 
 def compute(state: Array, rollout: CommonRollout) -> dict[str, Array]:
-    """Return the drives' positive work (J), by column."""
+    """Return the positive work of the drives (J), by column."""
     return {"energy_j": rollout.integrate_sum(state)}
 
 

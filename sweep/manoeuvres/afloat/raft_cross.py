@@ -137,7 +137,7 @@ class RaftCross(Manoeuvre):
         return compile_plan(start, stages, self.patience, ease=self.ease, free=raft.start(), afloat=True)
 
     def move_context(self, belief: Case) -> MoveContext:
-        """Return the charts and directions that moves of the plan file refer to, between banks and raft.
+        """Return the charts and directions to which moves in the plan file refer, between banks and raft.
 
         A moored raft stays at its reference: measured anew at every step, it would be let go step by step.
         """
@@ -183,7 +183,7 @@ class RaftCross(Manoeuvre):
         return replace(stage, duration=mass * speed / force, support=(to,))
 
     def push_motion(self, belief: Case) -> RaftCrossing:
-        """Return speed, turn and time of the push-off by (4.3) and (4.3.1)."""
+        """Return speed, turn and time of the raft after the push-off by (4.3) and (4.3.1)."""
         raft, load = belief.obstacle_of_type(Raft), total_mass(belief.robot)
         a, b, _ = raft.half_size
         mass, al2 = raft.mass + load, raft.drag * raft.width * raft.draught(load)
@@ -191,7 +191,7 @@ class RaftCross(Manoeuvre):
         return crossing(raft.water_width, raft.length, self.landing, mass, al2, inertia, inertia, self.offset)
 
     def init_memory(self, belief: Case, plan: Plan) -> Float[Array, " 3"]:
-        """Return the initial shift (m) of the landing place from the planned one: zero.
+        """Return the initial feedback state: the shift (m) of the landing place from the planned one, zero.
 
         Its y component is the drift of the raft along the bank, its x component the gap at which the raft stopped
         early.
@@ -199,7 +199,7 @@ class RaftCross(Manoeuvre):
         return jnp.zeros(3)
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """Follow the plan, but land where the raft has actually arrived."""
+        """Return the planned stance, shifted so that the robot lands where the raft has actually arrived."""
         plan, stage, free = ctx.plan, ctx.stage, ctx.obs.free
         gap = jnp.min(far_gaps(belief.obstacle_of_type(Raft), free))
         short = jnp.where((gap > self.near) & (gap < MARGIN * belief.robot.body_length), gap, 0.0)
@@ -228,7 +228,8 @@ class RaftCross(Manoeuvre):
         return (free.position[0] + rotate(free.quat[0], place))[1] - self.offset
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
-        """End the wait once the raft is at the bank, or still and close to it; end a pull once it lies alongside."""
+        """Return whether the wait ends (the raft is at the bank, or still and close to it) or a pull ends (the raft
+        lies alongside)."""
         gaps = far_gaps(belief.obstacle_of_type(Raft), obs.free) + state.memory[0]
         waits, pulls = is_guided_by_law(plan, state.stage, WAIT), is_guided_by_law(plan, state.stage, PULL)
         still = jnp.abs(obs.free.velocity[0, 0]) < self.slow
@@ -245,7 +246,7 @@ def far_gaps(raft: Raft, free: FreeState) -> Float[Array, " 2"]:
 def make_chart_beyond_edge(
     edge: Array | float, middle: Array | float, aside: Array | float, up: Array | float, frame: int
 ) -> Chart:
-    """Return a chart of footholds beyond an edge.
+    """Return a chart (coordinates) of footholds beyond an edge.
 
     Args:
         edge: x of the edge (m).
@@ -262,7 +263,7 @@ def make_chart_beyond_edge(
 
 
 def tripod_moves(base: Number, count: int, stride: Number, chart: str, on: str) -> dict[str, Move]:
-    """Return moves of tripods in turn, which begin and end with all feet under their hips.
+    """Return moves in which the two tripods step in turn, starting and ending with all feet under their hips.
 
     A foot lands half a stride ahead of its hip, the last ones under theirs.
 

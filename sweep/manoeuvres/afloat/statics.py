@@ -18,7 +18,8 @@ from sweep.planning.validation import are_plain_numbers
 def freeboard_and_draught(
     belief: Case, offset: tuple[Array | float, Array | float], height: Array | float
 ) -> tuple[Array, Array]:
-    """Return least freeboard of the deck's corners and least draught of the bottom's (m); nan if the raft capsizes.
+    """Return the least freeboard of the deck's corners and the least draught of the bottom's corners (m); NaN if the
+    raft capsizes.
 
     Args:
         belief: has raft and robot.
@@ -36,7 +37,7 @@ def freeboard_and_draught(
 
 
 def require_floating(belief: Case, offset: tuple[float, float]) -> None:
-    """Check that the raft neither capsizes nor dips a corner under its robot, if parameters are plain numbers.
+    """Raise an error if the raft capsizes or dips a corner under its robot; only for plain numbers.
 
     Args:
         belief: has raft and robot.

@@ -51,7 +51,8 @@ MAX_BASE_SPEED = 0.4  # m/s, of the base under the law `tick`
 
 
 class StandPose(NamedTuple):
-    """Where a robot stands on a ball, relative to the ball's centre; made by `stand_pose`."""
+    """Position of the feet and base of a robot that stands on a ball, relative to the ball's centre; made by
+    `stand_pose`."""
 
     feet: Float[Array, "6 3"]  # m
     position: Float[Array, " 3"]  # m, base, with the mass centre over the ball's centre
@@ -59,7 +60,7 @@ class StandPose(NamedTuple):
 
 @parameters
 class OnBallManoeuvre(Manoeuvre):
-    """Base class of manoeuvres on top of a ball. Ratios are to the length a_r unless said otherwise."""
+    """Base class of manoeuvres on top of a ball. Ratios are to the length a_r unless stated otherwise."""
 
     circle_ratio: float = quantity(0.613, "R", above=0, at_most=1)  # d_1, radius of the circle of footholds on the ball
     # d_2, distance of the front and rear feet from the middle of that circle
@@ -72,7 +73,7 @@ class OnBallManoeuvre(Manoeuvre):
     needs = (Ball,)
 
     def make_ball_drive(self, **options: Any) -> "BallDrive":
-        """Return a `BallDrive` on the same footholds, with its other parameters as given."""
+        """Return a `BallDrive` manoeuvre on the same footholds, with other parameters as given."""
         return BallDrive(circle_ratio=self.circle_ratio, chord_ratio=self.chord_ratio,
                          height_ratio=self.height_ratio, deepening=self.deepening, **options)  # fmt: skip
 
@@ -85,7 +86,7 @@ def ball_move_context(
     supports: Mapping[str, tuple[SupportMotion, ...]],
     laws: tuple[str, ...] = (),
 ) -> MoveContext:
-    """Return the charts, frames and laws that moves on balls and beside them refer to.
+    """Return the charts, frames and feedback laws to which moves on or beside balls refer.
 
     Args:
         belief: has the obstacle.
@@ -101,7 +102,7 @@ def ball_move_context(
 
 
 def require_start_within_reach(belief: Case, start: Callable[[], Stance]) -> None:
-    """Check that all feet are within reach at the start, if the belief is made of plain numbers.
+    """Raise an error unless all feet are within reach in the start stance; only for plain numbers.
 
     Args:
         belief: believed parameters.
@@ -138,7 +139,7 @@ def _balanced_base(robot: Robot, stance: Stance) -> Float[Array, " 3"]:
 
 
 def stance_on_ball(belief: Case, pose: StandPose) -> Stance:
-    """Return a pose on the ball as a stance in world axes, before anything moves.
+    """Return the stance in world axes for a pose on the ball, before anything moves.
 
     Args:
         belief: has the ball.
@@ -149,7 +150,7 @@ def stance_on_ball(belief: Case, pose: StandPose) -> Stance:
 
 
 def standing_stages(pose: StandPose, times: Mapping[str, Array | float]) -> list[Stage]:
-    """Return stages in which all feet stand on the ball.
+    """Return plan stages in which all feet stand on the ball.
 
     Args:
         pose: pose relative to the ball's centre.
@@ -160,7 +161,8 @@ def standing_stages(pose: StandPose, times: Mapping[str, Array | float]) -> list
 
 
 class BalanceMemory(NamedTuple):
-    """State of the law: a move and pulse planned at the start of a stage, or the current base and momentum."""
+    """State of the balancing feedback: a move and pulse planned at the start of a stage, or the current base and
+    momentum."""
 
     place: Float[Array, " 3"]  # m, of the base over the ball's centre, at the start of the stage or now
     move: Float[Array, " 2"]  # m, of the base, shaped by delta
@@ -196,7 +198,7 @@ class BallBalance(OnBallManoeuvre):
     reach: float = quantity(0.12, "m", above=0)  # largest lean of that law
 
     def plan(self, belief: Case) -> Plan:
-        """Return a plan of stages of T in which all feet stand."""
+        """Return a plan of stages of duration T in which all feet stand on the ball."""
         pose = stand_pose(belief, self)
         off = jnp.stack([jnp.asarray(self.offset, float), jnp.asarray(self.offset_aside, float)])
         pose = pose._replace(position=pose.position.at[:2].add(off))
@@ -204,11 +206,11 @@ class BallBalance(OnBallManoeuvre):
         return compile_plan(stance_on_ball(belief, pose), stages, 0.0)
 
     def init_memory(self, belief: Case, plan: Plan) -> BalanceMemory:
-        """Return the law's initial state, with the base where the plan starts."""
+        """Return the initial feedback state, with the base where the plan starts."""
         return BalanceMemory(plan.position[0], jnp.zeros(2), jnp.zeros(2), jnp.zeros(3))
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """Move the base by the balancing law that the plan names."""
+        """Return the stance that moves the base by the balancing law that the plan names."""
         memory: BalanceMemory = state.memory
         if self.law == "manoeuvre":
             memory = jax.tree.map(
@@ -260,7 +262,7 @@ class BallPathPoint(NamedTuple):
 
 
 class DriveMemory(NamedTuple):
-    """State of the drive: plan of the current step, and what later steps need of it."""
+    """State of the ball-driving feedback: the plan of the current step, and what later steps need of it."""
 
     push: Float[Array, ""]  # m, k_v (v_d - v_e) and the integral
     integral: Float[Array, ""]  # m, sum over the steps so far of the integral term
@@ -315,20 +317,21 @@ class BallDrive(OnBallManoeuvre):
     patience: float = quantity(0.0, "s", at_least=0)  # longest wait for a touchdown, while the ball rolls on below
 
     def obstacle_speed(self, duration: Array) -> Array:
-        """Return the planned speed (m/s) of the ball after `duration` (s): 0 if it reaches its place."""
+        """Return the planned speed (m/s) of the ball after `duration` (s); 0 if it has reached its goal."""
         return jnp.where(self.speed * duration > self.place, 0.0, self.speed)
 
     def lateral_offset(self, way: Float[Array, " 3"]) -> Array:
-        """Return the ball's lateral distance (m) from its path, see `Manoeuvre`."""
+        """Return the lateral distance (m) of the ball from its planned path after a displacement."""
         return jnp.abs(self.path_point_at(way).left_offset)
 
     def plan(self, belief: Case) -> Plan:
-        """Return the plan of steps by both tripods in turn."""
+        """Return the plan, in which both tripods step in turn."""
         pose = stand_pose(belief, self)
         return compile_plan(stance_on_ball(belief, pose), self.step_stages(pose, "step"), self.patience, ease=self.ease)
 
     def step_stages(self, pose: StandPose, law: str, first_share: float = 1.0) -> list[Stage]:
-        """Return stages of tripods in turn: standing feet in the ball's axes, swinging ones in its Koenig frame.
+        """Return plan stages in which tripods step in turn; standing feet in the ball's axes, swinging feet in its
+        Koenig frame.
 
         Args:
             pose: pose relative to the ball's centre.
@@ -348,16 +351,16 @@ class BallDrive(OnBallManoeuvre):
         return stages
 
     def path_point_at(self, place: Float[Array, " 3"]) -> BallPathPoint:
-        """Return the path's point and direction at a ball's position `place` (m); the path is along x."""
+        """Return point and direction of the planned path at a ball position `place` (m); the path is along x."""
         return BallPathPoint(jnp.array([1.0, 0.0]), place[0], place[1], jnp.zeros_like(place[0]))
 
     def init_memory(self, belief: Case, plan: Plan) -> DriveMemory:
-        """Return the state before the first push."""
+        """Return the initial feedback state, before the first push."""
         zero = jnp.zeros(())
         return DriveMemory(zero, zero, jnp.array([1.0, 0.0]), zero, zero, zero, zero)
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """Follow the step that was planned at the start of the stage."""
+        """Return the stance on the step that was planned at the start of the stage."""
         plan, stage, phase, free = ctx.plan, ctx.stage, ctx.phase, ctx.obs.free
         planned, landing = self._plan_step(belief, ctx, state)
         memory = jax.tree.map(partial(jnp.where, ctx.is_first_tick), planned, state.memory)
@@ -426,7 +429,7 @@ def lean_on_curve(belief: Case, height: Array | float) -> Array | float:
 def compensate_base(
     robot: Robot, balanced: Float[Array, " 3"], feet: Float[Array, "6 3"], wanted: Float[Array, " 2"], lengthwise: bool
 ) -> Float[Array, " 3"]:
-    """Return the level base position (m) that puts the mass centre at a given place in the plane: (3.1.10).
+    """Return the level base position (m) that puts the robot's mass centre at a given place in the plane: (3.1.10).
 
     Args:
         robot: the robot, as believed.

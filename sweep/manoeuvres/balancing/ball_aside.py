@@ -53,7 +53,7 @@ class BallAside(OnBallManoeuvre):
     stops: int = count(8, at_least=1, at_most=500)  # number of stages that stop the ball
 
     def plan(self, belief: Case) -> Plan:
-        """Return the plan: drive, coast, stop, with all feet standing."""
+        """Return the plan with the stages drive, coast and stop, with all feet standing."""
         pose = stand_pose(belief, replace(self, circle_ratio=self._circle_ratio(belief)))
         times = {"drive": self.period, "coast": self.coast}
         times |= {f"stop{k + 1}": self.period for k in range(self.stops)}
@@ -67,11 +67,12 @@ class BallAside(OnBallManoeuvre):
         return jnp.clip(wanted, self.circle_ratio, 1.0)
 
     def init_memory(self, belief: Case, plan: Plan) -> Float[Array, ""]:
-        """Return the initial push k_l (v_d - v_b) of the stage to the left (m): zero."""
+        """Return the initial feedback state: the sideways push k_l (v_d - v_b) of the stage (m), zero."""
         return jnp.zeros(())
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """Keep the mass centre over the ball, plus the lateral motion planned at the start of the stage."""
+        """Return the stance with the mass centre over the ball plus the lateral motion planned at the start of the
+        stage."""
         plan, stage, free = ctx.plan, ctx.stage, ctx.obs.free
         wanted_speed = jnp.where(stage == 0, self.speed, free.velocity[0, 1])  # while coasting, the measured speed
         wanted_speed = jnp.where(stage > 1, 0.0, wanted_speed)

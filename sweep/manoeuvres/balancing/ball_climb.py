@@ -27,14 +27,14 @@ from sweep.planning.validation import are_plain_numbers
 
 
 class PushSpeed(NamedTuple):
-    """Part `push` of the plan file: speed of the push, which depends on masses as in (3.1.15)."""
+    """Numbers in the part `push` of the plan file: speed of the push, which depends on masses as in (3.1.15)."""
 
     speed: Number  # of the ball, over the manoeuvre's `push_speed`
 
 
 @parameters
 class BallClimb(BesideBallManoeuvre):
-    """From the floor on to a free ball and to rest on its top."""
+    """Climb from the floor on to a free ball and come to rest on its top."""
 
     goal: ClassVar = {**UPRIGHT, "obstacle_speed_error_max_mps": 0.01, "obstacle_aside_max_m": 0.05}
     kind: str = choice("ball_climb", "ball_climb")
@@ -54,7 +54,7 @@ class BallClimb(BesideBallManoeuvre):
     default_plan_name = "ball_climb"  # in R
 
     def plan(self, belief: Case) -> Plan:
-        """Return the plan: feet to the ball, base to its tangent, push, ride, stand on top, stop the ball.
+        """Return the plan: feet to the ball, base to its tangent, push, ride up, stand on top, stop the ball.
 
         Raises:
             InputError: the ball is too large, or the feet do not reach the floor, all plain numbers.
@@ -64,7 +64,7 @@ class BallClimb(BesideBallManoeuvre):
         return compile_plan(start, [*up, *calm], self.patience, ease=self.ease)
 
     def climb_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:
-        """Return the start stance, and the stages from there until the robot stands on top; see `plan`."""
+        """Return the start stance, and the plan stages until the robot stands on top."""
         self.validate(belief)
         require_start_within_reach(belief, lambda: self.start_stance_and_state(belief)[0])
         start, standing = self.start_stance_and_state(belief)
@@ -83,7 +83,7 @@ class BallClimb(BesideBallManoeuvre):
     def move_context(
         self, belief: Case, deepening: Array | float, press: tuple[Array | float, Array | float]
     ) -> MoveContext:
-        """Return the charts and directions that moves of the plan file refer to.
+        """Return the charts and directions to which moves in the plan file refer.
 
         Args:
             belief: believed parameters.
@@ -97,7 +97,7 @@ class BallClimb(BesideBallManoeuvre):
         return ball_move_context(belief, radius, deepening, press, supports, (RIDE,))
 
     def validate(self, belief: Case) -> None:
-        """Check that the front feet reach footholds where friction holds them: (3.1.18)-(3.1.22).
+        """Raise an error unless the front feet reach footholds where friction holds them: (3.1.18)-(3.1.22).
 
         Raises:
             InputError: the ball is too large, all plain numbers.
@@ -116,7 +116,7 @@ class BallClimb(BesideBallManoeuvre):
 
     @property
     def feedback_laws(self) -> Mapping[str, FeedbackLaw]:
-        """The feedback laws of the ride up and of the steps that stop the ball."""
+        """Feedback laws by name: of the ride up, and of the steps that stop the ball."""
         return {
             RIDE: RideUpLaw(self.gain, self.least_rate, self.most_rate, self.braking, self.centring, self.lean),
             **super().feedback_laws,

@@ -37,7 +37,7 @@ from sweep.planning.moves import Move, make_standing, move_stages, read_moves, r
 
 
 class StandCircle(NamedTuple):
-    """Part `perch` of the plan file: the circle of footholds, which depends on the ball's radius."""
+    """Numbers in the part `perch` of the plan file: the circle of footholds, which depends on the ball's radius."""
 
     circle: Number  # radius of the circle of footholds on top, over the manoeuvre's
 
@@ -62,12 +62,12 @@ def angle_from_top(move: Move) -> Array:
 
 
 def total_time(moves: Iterable[Move]) -> Array | float:
-    """Return the total time of moves (s)."""
+    """Return the total duration (s) of moves."""
     return sum(0.0 if move.seconds is None else move.seconds for move in moves)
 
 
 def timed_moves(belief: Case, rate: Array | float) -> dict[str, Move]:
-    """Return the moves of the descent, with shifted footholds and their durations.
+    """Return the moves of the descent with shifted footholds and durations.
 
     At a constant rate down, the speed of the ball grows with the angle as 1 - cos.
 
@@ -103,7 +103,7 @@ def timed_moves(belief: Case, rate: Array | float) -> dict[str, Move]:
 
 @parameters
 class BallDescend(BesideBallManoeuvre):
-    """From standing on a free ball down to the floor ahead; a rolling ball is stopped first."""
+    """Descend from a free ball to the floor ahead; a rolling ball is stopped first."""
 
     goal: ClassVar = {**UPRIGHT, "obstacle_speed_error_max_mps": 0.01}
     kind: str = choice("ball_descend", "ball_descend")
@@ -119,7 +119,7 @@ class BallDescend(BesideBallManoeuvre):
         return stand_pose(belief, replace(self, circle_ratio=circle))
 
     def plan(self, belief: Case) -> Plan:
-        """Return the plan: stop the ball, come down, rest.
+        """Return the plan: stop the ball, descend, rest.
 
         Raises:
             InputError: the feet do not reach the ball, all plain numbers.
@@ -132,7 +132,7 @@ class BallDescend(BesideBallManoeuvre):
         )
 
     def descent_stages(self, belief: Case) -> list[Stage]:
-        """Return the stages from the pose on top to a rest on the floor.
+        """Return the plan stages from the pose on top of the ball to rest on the floor.
 
         The last one is in the frame of a ball that is to stay in place.
         """

@@ -44,14 +44,15 @@ ROLLS, ON, OFF = "roll", "on", "off"
 
 @dataclass(frozen=True)
 class WallDockingLaw(DriveUntilArrivalLaw):
-    """Law that drives the ball until it rests at the far wall."""
+    """Feedback law that rolls the ball until it rests at the far wall."""
 
     speed: Array | float  # m/s, at the wall
     near: Array | float  # m, largest remaining distance to the wall
     calm: Array | float  # m/s, largest speed of a ball that rests there
 
     def drive_law(self, belief: Case, free: FreeState) -> FeedbackLaw:
-        """Return the drive to a place so far behind the wall that the docking speed remains at the wall."""
+        """Return the drive whose goal lies so far behind the wall that the ball reaches the wall at the docking
+        speed."""
         return replace(self.drive, place=belief.obstacle_of_type(Ledges).far_wall_x + self.speed / self.drive.brake)
 
     def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
@@ -62,7 +63,7 @@ class WallDockingLaw(DriveUntilArrivalLaw):
 
 @parameters
 class BallLedges(OnBallManoeuvre, ManoeuvreInParts):
-    """Get on to the ball from one ledge, roll it to the other wall, and get off on to the ledge there."""
+    """Step from a ledge on to the ball, roll it to the other wall, and step off on to the ledge there."""
 
     goal: ClassVar = {
         **UPRIGHT, "docking_gap_max_m": 4e-3, "docking_speed_max_mps": 0.04, "past_centre_max_m": 0.02
@@ -88,7 +89,7 @@ class BallLedges(OnBallManoeuvre, ManoeuvreInParts):
     default_plan_name = "ball_ledges"
 
     def plan(self, belief: Case) -> Plan:
-        """Return the plan: on to the ball, over to the other ledge, off.
+        """Return the plan: on to the ball, over to the far ledge, off.
 
         Raises:
             InputError: a foot is out of reach at the start, all plain numbers.
@@ -112,7 +113,7 @@ class BallLedges(OnBallManoeuvre, ManoeuvreInParts):
         return Stance(feet + aside, position, jnp.asarray(LEVEL)), standing
 
     def move_context(self, belief: Case) -> MoveContext:
-        """Return the charts and directions that moves of the plan file refer to."""
+        """Return the charts and directions to which moves in the plan file refer."""
         press, supports = (self.press, self.squeeze), {"free": (SupportMotion(),), "rests": (RESTS,)}
         return ball_move_context(belief, belief.robot.body_length, self.deepening, press, supports, (ON, OFF))
 
@@ -125,5 +126,5 @@ class BallLedges(OnBallManoeuvre, ManoeuvreInParts):
 
     @property
     def feedback_laws(self) -> Mapping[str, FeedbackLaw]:
-        """The feedback law of the steps that roll the ball."""
+        """Feedback laws by name: of the steps that roll the ball."""
         return {ROLLS: WallDockingLaw(self.roll_drive, self.docking, self.near, self.calm_speed)}

@@ -65,16 +65,16 @@ class BallCrossing(BesideBallManoeuvre):
 
     @property
     def travel_drive(self) -> BallDrive:
-        """The drive law that rolls the ball to its place, with the gains of the stopping law."""
+        """The drive that rolls the ball to its goal, with the gains of the stopping law."""
         return replace(self.stopping_drive, steps=self.drive, speed=self.speed, place=self.place, brake=self.brake)
 
     @property
     def feedback_laws(self) -> Mapping[str, FeedbackLaw]:
-        """The feedback laws of riding up, stopping the ball, and rolling it."""
+        """Feedback laws by name: of riding up, stopping the ball, and rolling it."""
         return {**self.climb.feedback_laws, DRIVE: SettleBallLaw(self.travel_drive, self.calm_speed, self.near)}
 
     def plan(self, belief: Case) -> Plan:
-        """Return the plan: up, stop the ball, along, down, away.
+        """Return the plan: climb the ball, stop it, roll it, descend, walk away.
 
         Raises:
             InputError: the ball is too large, or the feet do not reach the floor, all plain numbers.
@@ -88,7 +88,7 @@ class BallCrossing(BesideBallManoeuvre):
         return compile_plan(start, [*up, *calm, *along, *down, *away], self.patience, ease=self.ease)
 
     def leave_stages(self, belief: Case) -> list[Stage]:
-        """Return the stages of walking away by tripod, in the frame of a ball that is to stay in place."""
+        """Return the plan stages of walking away by tripod, in the frame of a ball that is assumed to stay in place."""
         radius, length = belief.obstacle_of_type(Ball).radius, belief.robot.body_length
         height, spread = self.hips_ratio * length, self.spread_ratio * length
         step = GaitStep.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.turning)

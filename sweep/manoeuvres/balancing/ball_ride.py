@@ -25,7 +25,7 @@ LEAN_LAG, LEAN_MAX = 0.3, 0.03  # s and m, time constant and largest value of th
 
 
 class RideUpMemory(NamedTuple):
-    """State of the ride: displacement of the base since its start."""
+    """State of the ride-up law: displacement of the base since the start of the ride."""
 
     elevation: Float[Array, ""]  # rad, of the tangent along which the base lies
     distance: Float[Array, ""]  # m, of the base's axis from the ball's centre
@@ -36,7 +36,8 @@ class RideUpMemory(NamedTuple):
 
 @dataclass(frozen=True)
 class RideUpLaw:
-    """Law that rides up on a rolling ball, at the rate with which it stops when the top is reached: (3.1.13)-(3.1.16).
+    """Feedback law that rides up on a rolling ball at the rate at which the ball stops when the robot is on top:
+    (3.1.13)-(3.1.16).
 
     If feet slip more on one side, the ball rolls sideways; the base leans the other way to slow that down, though not
     while the first feet step, which pass close to the next legs. Footholds of the plan are those of a base on top; feet
@@ -52,7 +53,7 @@ class RideUpLaw:
     ends_stages: ClassVar = True
 
     def init_memory(self, belief: Case, plan: Plan) -> RideUpMemory:
-        """Return the initial state of the ride."""
+        """Return the initial state of the ride-up law."""
         first = _first_stage(plan)
         x, _, z = plan.position[first - 1]
         elevation = 0.5 * np.pi + logarithm(plan.quat[first])[1]
@@ -60,7 +61,7 @@ class RideUpLaw:
         return RideUpMemory(elevation, z * sin - x * cos, x * sin + z * cos, jnp.zeros(()), jnp.zeros(()))
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """Move the base up, and swing feet to places relative to it."""
+        """Return the stance with the base moved up, and swinging feet at places relative to it."""
         ball, memory, plan, period = belief.obstacle_of_type(Ball), state.memory, ctx.plan, ctx.period
         distance, rate = memory.distance, self.climb_rate(belief, ctx.obs)
         share = jnp.minimum(1.0, memory.time / self.centring)
@@ -110,7 +111,7 @@ class RideUpLaw:
         return jnp.minimum(jnp.maximum(self.gain * jnp.where(enough, root, fastest), self.least), most)
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
-        """End the last stage when the robot is on top."""
+        """Return whether the robot is on top, which ends the last stage of the ride."""
         last = _first_stage(plan) + plan.laws.count(RIDE) - 1
         return (state.stage == last) & (state.memory.elevation >= 0.5 * np.pi - 1e-4)
 

@@ -41,7 +41,7 @@ ROLLS, OVER = "roll", "over"
 
 
 def ball_gap(balls: TwoBalls, free: FreeState) -> Float[Array, ""]:
-    """Return delta, the gap between the balls along x (m).
+    """Return the gap delta between the two balls along x (m).
 
     Args:
         balls: the obstacle.
@@ -52,12 +52,12 @@ def ball_gap(balls: TwoBalls, free: FreeState) -> Float[Array, ""]:
 
 @dataclass(frozen=True)
 class BallDockingLaw(DriveUntilArrivalLaw):
-    """Law that drives the first ball until it touches the second."""
+    """Feedback law that rolls the first ball until it touches the second."""
 
     speed: Array | float  # m/s, on arrival
 
     def drive_law(self, belief: Case, free: FreeState) -> FeedbackLaw:
-        """Return the drive to a place so far behind the second ball that the docking speed remains there."""
+        """Return the drive whose goal lies so far behind the second ball that the balls meet at the docking speed."""
         place = free.position[0, 0] + ball_gap(belief.obstacle_of_type(TwoBalls), free) + self.speed / self.drive.brake
         return SingleBallLaw(replace(self.drive, place=place), 0)
 
@@ -74,7 +74,8 @@ class BallClosingMemory(NamedTuple):
 
 @dataclass(frozen=True)
 class BallClosingLaw:
-    """Law that follows the plan, but feet on the second ball move it to the first and press it there: after (3.5.2).
+    """Feedback law that follows the plan while the feet on the second ball pull it to the first and press it there:
+    after (3.5.2).
 
     The book turns the feet by the motion over R_n; the ball rolls it over R.
     """
@@ -84,11 +85,11 @@ class BallClosingLaw:
     ends_stages: ClassVar = True
 
     def init_memory(self, belief: Case, plan: Plan) -> BallClosingMemory:
-        """Return the state before the first stage."""
+        """Return the initial state of the closing law."""
         return BallClosingMemory(jnp.zeros(()))
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """Return the planned stance with the feet on the second ball moved."""
+        """Return the planned stance with the feet on the second ball moved towards the first ball."""
         plan, stage, balls = ctx.plan, ctx.stage, belief.obstacle_of_type(TwoBalls)
         gap = jnp.clip(ball_gap(balls, ctx.obs.free), 0.0, MAX_CLOSING)
         memory: BallClosingMemory = state.memory
@@ -106,7 +107,7 @@ class BallClosingLaw:
                         BallClosingMemory(gap))  # fmt: skip
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
-        """End a motion of the base when a standing leg gets too straight; the next pair of feet moves then."""
+        """Return whether a motion of the base has to end because a standing leg gets too straight."""
         robot, is_moving = belief.robot, ~jnp.any(plan.swing[state.stage])
         points = leg_points(robot, obs.angles)
         stretch = jnp.linalg.norm(points[:, -1] - points[:, -3], axis=-1)
@@ -117,13 +118,13 @@ MAX_CLOSING = 0.02  # m, gap that a stage closes at most
 
 
 def with_touching_balls(belief: Case) -> Case:
-    """Return the belief with balls that touch, one right behind the other."""
+    """Return the belief with two balls that touch, one directly behind the other."""
     return replace(belief, obstacle=replace(belief.obstacle_of_type(TwoBalls), gap=0.0, offset=0.0))
 
 
 @parameters
 class BallToBall(OnBallManoeuvre, ManoeuvreInParts):
-    """Roll the first ball to the second, go over from one to the other, and stop that ball or get off it."""
+    """Roll the first ball to the second, step over, and stop the second ball or get off it."""
 
     goal: ClassVar = {**UPRIGHT, "second_ball_speed_max_mps": 0.01}
     kind: str = choice("ball_to_ball", "ball_to_ball")
@@ -154,7 +155,7 @@ class BallToBall(OnBallManoeuvre, ManoeuvreInParts):
     default_plan_name = "ball_to_ball"
 
     def plan(self, belief: Case) -> Plan:
-        """Return the plan: roll, go over, stop the second ball, and get off it if asked for.
+        """Return the plan: roll to the second ball, step over, stop it, and get off if configured.
 
         Raises:
             InputError: a foot is out of reach, or the mass centre is not over the support, all plain numbers.
@@ -171,7 +172,8 @@ class BallToBall(OnBallManoeuvre, ManoeuvreInParts):
         return compile_plan(stance_on_ball(belief, pose), stages, self.patience, ease=self.ease)
 
     def transfer_stages(self, belief: Case) -> list[Stage]:
-        """Return the stages from ball to ball, planned for balls at rest that touch, after the checks of 3.5.3."""
+        """Return the plan stages from ball to ball, planned for touching balls at rest and corrected by the checks of
+        3.5.3."""
         pose = stand_pose(belief, self)
         feet = dict(zip(LEGS, pose.feet, strict=True))
         supports = {"free": (SupportMotion(),) * 2, "together": (SupportMotion(TOGETHER),) * 2}
@@ -183,7 +185,8 @@ class BallToBall(OnBallManoeuvre, ManoeuvreInParts):
                        CheckLimits(self.spare, self.straight, self.clear))  # fmt: skip
 
     def validate(self, belief: Case) -> None:
-        """Check reach and support at the ends of the stages from ball to ball, if parameters are plain numbers.
+        """Raise an error unless the stages from ball to ball keep feet within reach and the robot supported; only for
+        plain numbers.
 
         Raises:
             InputError: a foot is out of reach, or the mass centre is less than `spare` m inside its support.
@@ -220,7 +223,7 @@ class BallToBall(OnBallManoeuvre, ManoeuvreInParts):
 
     @property
     def feedback_laws(self) -> Mapping[str, FeedbackLaw]:
-        """The feedback laws of all parts: rolling, the transfer, and those of the second ball."""
+        """Feedback laws by name: of rolling, of the transfer, and of the second ball."""
         return {
             ROLLS: BallDockingLaw(self.roll_drive, self.docking),
             OVER: BallClosingLaw(self.closing, self.straight),

@@ -23,7 +23,8 @@ class BallTurn(BallDrive):
     radius: float = quantity(4.0, "m")  # rho, of the path of the ball's centre
 
     def path_point_at(self, place: Float[Array, " 3"]) -> BallPathPoint:
-        """Return the path's point and direction at a ball's position `place` (m): along x, then along a circle."""
+        """Return point and direction of the planned path at a ball position `place` (m): along x, then along a
+        circle."""
         before = super().path_point_at(place)
         x, y = (place[0] - self.straight) / self.radius, 1 - place[1] / self.radius
         angle, out = jnp.arctan2(x, y), jnp.hypot(x, y)

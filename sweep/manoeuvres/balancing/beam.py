@@ -35,7 +35,7 @@ FORWARD = (0.0, -1.0, 0.0)
 
 
 class BeamGeometry(NamedTuple):
-    """Geometry of robot and beam from which the stages are made; made by `BeamWalk.beam_geometry`."""
+    """Geometry of robot and beam from which plan stages are made; made by `BeamWalk.beam_geometry`."""
 
     robot: Robot
     ground: Array | float  # m, h_1, height of the ledges and the beam's top
@@ -49,18 +49,18 @@ class BeamGeometry(NamedTuple):
         return stack_point(0.0, y, self.ground + self.clearance)
 
     def feet_at(self, y: Array | float, track: Array | float) -> Float[Array, "6 3"]:
-        """Return feet beside their hips (m), each `track` (m) from the middle line, for a base at y."""
+        """Return foot positions (m) beside the hips, each `track` (m) from the middle line, for a base at y."""
         depth = jnp.full(6, self.ground - self.deepening)
         return jnp.stack(
             [SIDE_BY_LEG * jnp.asarray(track, float), y - leg_mounts(self.robot).hips[:, 0], depth], axis=-1
         )
 
     def swing_stage(self, name: str, legs: Sequence[int], feet: Float[Array, "6 3"], **more) -> Stage:
-        """Return a stage in which some legs step to their places in `feet`."""
+        """Return a plan stage in which some legs step to their positions in `feet`."""
         return Stage(name, self.step.time, values_by_leg(feet, legs), CYCLE_B, self.step.height, **more)
 
     def joint_angles(self, y: Array | float, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
-        """Return the joint angles (rad) that put the feet there, for a base at y."""
+        """Return the joint angles (rad) that put the feet at given positions, for a base at y."""
         return joint_targets(self.robot, Stance(feet, self.base_at(y), jnp.array(FACING_MINUS_Y)))[0]
 
     def stretched_feet(self, y: Array | float) -> Float[Array, "6 3"]:
@@ -101,7 +101,8 @@ class BeamWalk(Manoeuvre):
     needs = (Beam,)
 
     def plan(self, belief: Case) -> Plan:
-        """Return the plan: stand, `steps` swings with base motions between them, a swing that closes the stance, stand.
+        """Return the plan: stand, `steps` swings with base motions between them, a last swing into the standing stance,
+        stand.
 
         At the end the middle legs are held where they are, since the law that levels them takes c_6/-c_5, 1.6 s in
         print.
@@ -125,7 +126,7 @@ class BeamWalk(Manoeuvre):
         )
 
     def flywheel_gains(self, belief: Case) -> FlywheelGains:
-        """Return the gains of the flywheel."""
+        """Return the feedback gains of the flywheel (middle legs)."""
         return FlywheelGains(self.c1, self.c2, self.c3, self.c4, self.c5, self.c6, belief.drive.back_emf)
 
     def select_flywheel_mode(self, wanted: int) -> int:
@@ -133,7 +134,8 @@ class BeamWalk(Manoeuvre):
         return wanted if self.flywheel == "on" else LOCKED
 
     def diagonal_stages(self, site: BeamGeometry, start: Array | float, way: Array | float) -> list[Stage]:
-        """Return the stages of 2.6.2: diagonal pairs swing in turn, and the base follows while four feet stand.
+        """Return the plan stages of 2.6.2: diagonal pairs of legs swing in turn, and the base follows while four feet
+        stand.
 
         While a pair swings, the mass centre is over the line of the other two feet, which are beside their hips. While
         the base moves, the middle legs come to rest.
@@ -177,7 +179,8 @@ class BeamCross(BeamWalk):
     transfer_lift: float = quantity(0.1, "m", above=0)  # lift of feet that change the track
 
     def plan(self, belief: Case) -> Plan:
-        """Return the plan: stand, approach, narrow track, legs out, across, legs down, wide track, depart, halt."""
+        """Return the plan: stand, approach, narrow track, spread middle legs, cross, fold them, wide track, depart,
+        halt."""
         site = self.beam_geometry(belief)
         reach = belief.robot.body_length / 2 + self.margin
         far = -belief.obstacle_of_type(Beam).length - reach
@@ -209,21 +212,21 @@ class BeamCross(BeamWalk):
         return start, stages + [site.swing_stage(f"place.{'-'.join(map(str, legs))}", legs, goal) for legs in TRIPOD]
 
     def tripod_geometry(self, site: BeamGeometry) -> BeamGeometry:
-        """Return the site with the step of the tripods."""
+        """Return the beam geometry with the step length of the tripod gait."""
         return site._replace(step=site.step._replace(half_length=self.walk_step_ratio * site.robot.body_length))
 
     def tripod_stages(self, site: BeamGeometry, start: Stance, number: int) -> list[Stage]:
-        """Return regular swings on the wide track."""
+        """Return plan stages of regular tripod swings on the wide track."""
         centres = site.feet_at(0.0, self.wide_track / 2) - site.base_at(0.0)
         return regular_steps(TRIPOD, site.step, start, centres, jnp.array(FORWARD), number, 0.0)
 
     def spread_stages(self, site: BeamGeometry, y: Array | float) -> list[Stage]:
-        """Return the stages of 2.6.1 in which the middle legs are lifted, moved outward and stretched."""
+        """Return the plan stages of 2.6.1 in which the middle legs are lifted, moved outward and stretched."""
         raised, out = self.intermediate_angles(site, y)
         return [*middle_leg_stages(site, "out", (raised, out)), Stage("out.3", site.step.time, posture=LEVEL_LEGS)]
 
     def fold_stages(self, site: BeamGeometry, y: Array | float) -> list[Stage]:
-        """Return the stages of 2.6.3 in which the middle legs go back to the narrow track on the same path."""
+        """Return the plan stages of 2.6.3 in which the middle legs return to the narrow track on the same path."""
         raised, out = self.intermediate_angles(site, y)
         feet = site.feet_at(y, site.track / 2)
         angles = values_by_leg(site.joint_angles(y, feet), MIDDLE)
@@ -231,7 +234,8 @@ class BeamCross(BeamWalk):
         return [*middle_leg_stages(site, "down", (out, raised)), down]
 
     def intermediate_angles(self, site: BeamGeometry, y: Array | float) -> tuple[Array, Array]:
-        """Return joint angles (6, 3) with feet lifted from the narrow track, and half bent outward of the hips."""
+        """Return joint angles (6, 3) of two intermediate postures: feet lifted from the narrow track, and legs half
+        spread."""
         lifted = site.feet_at(y, site.track / 2) + jnp.array([0.0, 0.0, 1.0]) * self.transfer_lift
         reach = site.robot.thigh + site.robot.shin
         return site.joint_angles(y, lifted), site.angles_beside_hips(0.5 * reach, 0.25 * reach)
@@ -240,7 +244,7 @@ class BeamCross(BeamWalk):
 def change_track_stages(
     site: BeamGeometry, y: Array | float, track: Array | float, lift: Array | float, name: str
 ) -> list[Stage]:
-    """Return the stages of 2.6.1 and 2.6.3 in which the tripods in turn change their track, in planes across the body.
+    """Return the plan stages of 2.6.1 and 2.6.3 in which the tripods in turn step to another track width.
 
     The foot passes below its hip, where its place does not determine alpha; it goes there in joint space.
 
@@ -263,12 +267,12 @@ def change_track_stages(
 
 
 def middle_leg_stages(site: BeamGeometry, name: str, angles: Sequence[Array]) -> list[Stage]:
-    """Return stages in which the middle legs go through postures."""
+    """Return plan stages in which the middle legs go through a sequence of postures."""
     return [
         Stage(f"{name}.{k}", site.step.time, posture=values_by_leg(a, MIDDLE)) for k, a in enumerate(angles, start=1)
     ]
 
 
 def values_by_leg(values: Float[Array, "6 3"], legs: Sequence[int]) -> dict[int, Array]:
-    """Return feet or joint angles of some legs, by leg number."""
+    """Return foot positions or joint angles of some legs, by leg number."""
     return {leg: values[leg - 1] for leg in legs}

@@ -30,7 +30,7 @@ ROUNDS = 4  # of corrections; the mass centre follows 0.8 or more of a base's mo
 
 
 class CheckLimits(NamedTuple):
-    """Limits that the checks enforce, made by `BallToBall`."""
+    """Limits on reach and support that `correct_stages` enforces; made by `BallToBall`."""
 
     spare: Array | float  # m, least distance of the mass centre from the ends of the support
     straight: Array | float  # longest leg over thigh and shin: the book's modified length of a leg
@@ -38,7 +38,8 @@ class CheckLimits(NamedTuple):
 
 
 class FeetOverStages(NamedTuple):
-    """Feet of S stages: which swing, the stage in which each took its place (-1: the start), and centres of balls."""
+    """Feet over S stages: whether each swings, since which stage it stands (-1: the start), and the centre of its
+    ball."""
 
     swing: Bool[np.ndarray, "s 6"]
     since: Int[np.ndarray, "s 6"]
@@ -46,7 +47,7 @@ class FeetOverStages(NamedTuple):
 
 
 def correct_stages(belief: Case, start: Stance, stages: Sequence[Stage], limits: CheckLimits) -> list[Stage]:
-    """Return stages that keep the limits, wherever the corrections of the book can achieve that.
+    """Correct plan stages so that they keep limits of reach and support, as far as the rules of monograph 3.5.3 can.
 
     Check 3: a foot that limits where the mass centre may be is set farther along the ball. Check 5: a base that moves
     on standing feet goes on until the mass centre is between the feet of the next support. Check 2: the base is

@@ -1,4 +1,4 @@
-"""Manoeuvres in parts: stages under a law follow the feedback of that law, the others follow the plan."""
+"""Manoeuvres in parts: each stage follows the feedback law that it names, or the plan if it names none."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -21,19 +21,19 @@ from sweep.models.obstacles.surface import FreeState
 
 
 class ManoeuvreInParts(Manoeuvre, ABC):
-    """Base class of manoeuvres whose stages are guided by the law that each names, or by the plan."""
+    """Base class of manoeuvres whose stages are each guided by the feedback law that they name, or by the plan."""
 
     @property
     @abstractmethod
     def feedback_laws(self) -> Mapping[str, FeedbackLaw]:
-        """The feedback of the stages under each law, by the law's name."""
+        """Feedback laws that guide stages, by the name that stages use."""
 
     def init_memory(self, belief: Case, plan: Plan) -> dict[str, Any]:
-        """Return the states of all parts, by law."""
+        """Return the initial states of all feedback laws, by name."""
         return {name: part.init_memory(belief, plan) for name, part in self.feedback_laws.items()}
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """Return the guidance of the law of the current part, or of the plan."""
+        """Return the guidance of the current stage's feedback law, or of the plan."""
         plan, stage = ctx.plan, ctx.stage
         stance, goal = reference_stance(plan, stage, ctx.phase, state.feet, state.position), plan.foothold[stage]
         memory = dict(state.memory)
@@ -44,7 +44,7 @@ class ManoeuvreInParts(Manoeuvre, ABC):
         return Guidance(stance, goal, memory)
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
-        """Return whether the law of the current part ends the stage."""
+        """Return whether the current stage's feedback law ends the stage."""
         is_over = jnp.asarray(False)
         for name, part in self.feedback_laws.items():
             if part.ends_stages:
@@ -57,21 +57,21 @@ class ManoeuvreInParts(Manoeuvre, ABC):
 
 @dataclass(frozen=True)
 class DriveUntilArrivalLaw(ABC):
-    """Base class of laws that roll a ball by the steps of a drive until it has arrived."""
+    """Base class of feedback laws that roll a ball step by step until it has arrived."""
 
     drive: BallDrive
     ends_stages: ClassVar = True
 
     def init_memory(self, belief: Case, plan: Plan) -> DriveMemory:
-        """Return the state of the drive."""
+        """Return the initial state of the ball drive."""
         return self.drive.init_memory(belief, plan)
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """Run one tick of the drive."""
+        """Return the guidance of the ball drive in one tick."""
         return self.drive_law(belief, ctx.obs.free).guide(belief, ctx, state)
 
     def drive_law(self, belief: Case, free: FreeState) -> FeedbackLaw:
-        """Return the law by which the robot drives the ball, with the position at which it stops."""
+        """Return the ball drive, with the position at which the ball is to stop."""
         return self.drive
 
     @abstractmethod
@@ -79,46 +79,46 @@ class DriveUntilArrivalLaw(ABC):
         """Return whether the ball has arrived and needs no further step."""
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
-        """End a step at its start if the ball needs none."""
+        """Return whether a step ends at its start because the ball has arrived."""
         has_just_begun = state.clock < 0.05 * plan.duration[state.stage]
         return has_just_begun & self.has_arrived(belief, obs.free)
 
 
 @dataclass(frozen=True)
 class SettleBallLaw(DriveUntilArrivalLaw):
-    """Law that drives a ball until it is nearly at rest at its place."""
+    """Feedback law that drives a ball until it is nearly at rest at its goal."""
 
     calm: Array | float  # m/s, largest speed of a calm ball
     within: Array | float  # m, of the drive's place
 
     def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
-        """Return whether the ball is near its place along x, and nearly at rest."""
+        """Return whether the ball is near its goal along x, and nearly at rest."""
         near = jnp.abs(free.position[0, 0] - self.drive.place) < self.within
         return near & (jnp.linalg.norm(free.velocity[0]) < self.calm)
 
 
 @dataclass(frozen=True)
 class SingleBallLaw:
-    """A law for an obstacle with a single ball, applied to one ball of several."""
+    """Feedback law written for an obstacle with a single ball, applied to one ball of several."""
 
     law: FeedbackLaw
     ball: int  # index of the ball
     ends_stages: ClassVar = True
 
     def init_memory(self, belief: Case, plan: Plan) -> Any:
-        """Return the state of the law."""
+        """Return the initial state of the wrapped feedback law."""
         return self.law.init_memory(belief, plan)
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """Run one tick of the law, as if there were no other ball."""
+        """Return the guidance of the wrapped law in one tick, as if there were no other ball."""
         return self.law.guide(belief, ctx._replace(obs=self._obs_of_ball(ctx.obs)), state)
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
-        """Return whether the law ends the stage, as if there were no other ball."""
+        """Return whether the wrapped law ends the stage, as if there were no other ball."""
         return self.law.is_stage_over(belief, plan, state, self._obs_of_ball(obs))
 
     def retarget_stages(self, single_ball_stages: Sequence[Stage]) -> list[Stage]:
-        """Return stages that were made for a single ball, for this ball."""
+        """Return plan stages that were made for a single ball, with their frames changed to this ball."""
 
         def frame_on_ball(frame: int) -> int:
             return frame if frame == WORLD_FRAME else frame + koenig_frame_number(self.ball) - koenig_frame_number(0)

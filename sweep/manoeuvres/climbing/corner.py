@@ -28,7 +28,7 @@ from sweep.planning.symmetry import apply_direction
 
 @parameters
 class CornerManoeuvre(PlannedForces):
-    """Base class of manoeuvres on a corner. Ratios are to a_r.
+    """Base class of manoeuvres on the corner of a house. Ratios are to a_r.
 
     Here a_r is `length_unit` where legs have to reach, and the body's length for the rise of a gallop and roof steps.
     The book measures everything by the body; legs shorter than the body suggests then do not reach their footholds.
@@ -58,7 +58,7 @@ class CornerManoeuvre(PlannedForces):
     default_plan_name = "corner"
 
     def move_context(self, belief: Case) -> MoveContext:
-        """Return the charts and directions that moves of the plan file refer to.
+        """Return the charts and directions to which moves in the plan file refer.
 
         The chart `edges` is for a base that pitches up before the corner.
         """
@@ -69,7 +69,7 @@ class CornerManoeuvre(PlannedForces):
         )
 
     def climb_stages(self, belief: Case) -> tuple[Stance, list[Stage], StandingState]:
-        """Return the start stance, the stages to the end of the gallop, and the `StandingState` after them."""
+        """Return the start stance, the plan stages until the end of the gallop, and feet and base after them."""
         context = self.move_context(belief)
         places, position, standing = initial_stance("arrive", context)
         climb, standing = part_stages("climb", context, standing, "")
@@ -77,19 +77,19 @@ class CornerManoeuvre(PlannedForces):
         return Stance(places, position, jnp.array(FACING_MINUS_Y)), [*climb, *gallop], standing
 
     def plan(self, belief: Case) -> Plan:
-        """Return the plan with its forces: stand, the route, halt."""
+        """Return the plan with its planned forces: stand, climb, halt."""
         start, stages = self.route_stages(belief)
         stages = [Stage("stand", STAND), *self.with_load_transfer(stages), Stage("halt", STAND)]
         return self.with_feedforward(belief, apply_direction(belief, compile_plan(start, stages, self.patience)))
 
     @abstractmethod
     def route_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:
-        """Return the start stance and the stages after it."""
+        """Return the start stance and the plan stages of the whole route."""
 
 
 @parameters
 class CornerClimb(CornerManoeuvre):
-    """Climb on to the corner and up it by the modified gallop.
+    """Climb up the corner of a house by the modified gallop.
 
     Forces are planned (`PlannedForces`), where the book presses the feet into the walls by a fixed depth: before every
     swing, the feet that are to swing are unloaded, and standing feet are commanded to where they are. x_f is a_r/3 and
@@ -102,5 +102,5 @@ class CornerClimb(CornerManoeuvre):
     rise_ratio: float = quantity(0.14, "a_r", at_least=0, at_most=100)  # rise of the whole gallop
 
     def route_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:
-        """Return the start stance and the stages to the end of the gallop."""
+        """Return the start stance and the plan stages until the end of the gallop."""
         return self.climb_stages(belief)[:2]

@@ -37,7 +37,7 @@ NARROWEST = 0.28  # a_r, least half distance between a pair's feet on the roof
 
 @parameters
 class CornerRoof(CornerManoeuvre):
-    """From the floor on to the corner, up it, and over the edge on to the roof.
+    """Climb a corner from the floor, and get over its edge on to the roof.
 
     For houses that reach above the front feet at the start of the gallop, which covers the rest in `cycles`.
     """
@@ -49,7 +49,7 @@ class CornerRoof(CornerManoeuvre):
     default_plan_name = "corner_roof"
 
     def route_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:
-        """Return the start stance and the stages: climb until the front feet are below the edge, and get over it.
+        """Return the start stance and the plan stages: climb until the front feet are below the edge, then get over it.
 
         If the height varies in a study, plans of rows in which the house is too low are not a number, hence invalid.
 
@@ -69,7 +69,7 @@ class CornerRoof(CornerManoeuvre):
         return start, [*stages, *roof]
 
     def validate(self, belief: Case, rise: float, most: float) -> None:
-        """Check that the gallop can raise the base by `rise` (m).
+        """Raise an error unless the gallop can raise the base by `rise` (m).
 
         Args:
             belief: believed parameters.
@@ -93,7 +93,7 @@ class CornerRoof(CornerManoeuvre):
 
 @parameters
 class CornerFull(CornerRoof):
-    """From the floor up a corner on to the roof, and on by some steps."""
+    """Climb a corner from the floor on to the roof, and walk on by some steps."""
 
     kind: str = choice("corner_full", "corner_full")
     steps: int = count(10, at_least=0, at_most=100)  # number of swings by tripod on the roof
@@ -101,12 +101,12 @@ class CornerFull(CornerRoof):
     roof_step_ratio: float = quantity(0.1, "a_r", above=0, at_most=0.3)
 
     def route_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:
-        """Return the start stance and the stages: on to the roof, and some steps on."""
+        """Return the start stance and the plan stages: on to the roof, then some steps."""
         start, stages = super().route_stages(belief)
         return start, [*stages, *self.roof_stages(belief)]
 
     def roof_stages(self, belief: Case) -> list[Stage]:
-        """Return the swings by tripod that follow once the base is over the edge.
+        """Return the tripod swings after the base is over the edge.
 
         Tracks narrow with the roof. In the first two swings the feet go beside their hips and the base rests: farther
         ahead, middle feet would meet the front legs.

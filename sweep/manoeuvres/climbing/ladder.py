@@ -34,7 +34,7 @@ AWAY = 0.72  # leg units, position of the base behind the ledge's edge when it s
 
 @parameters
 class LadderClimb(PlannedForces):
-    """By tripod to a leaning ladder, up it and over its top on to the ledge, and away by tripod.
+    """Walk by tripod to a leaning ladder, climb it and step over its top on to the ledge, and walk away.
 
     Feet hold on by planned forces. Ratios are to a_r.
     """
@@ -63,7 +63,7 @@ class LadderClimb(PlannedForces):
     default_plan_name = "ladder_climb"  # in leg units
 
     def plan(self, belief: Case) -> Plan:
-        """Return the plan: wait, walk up, climb, walk away, halt.
+        """Return the plan: wait, walk to the ladder, climb, walk away, halt.
 
         Raises:
             InputError: the ladder cannot be climbed.
@@ -72,7 +72,7 @@ class LadderClimb(PlannedForces):
         return self.with_feedforward(belief, self.plan_without_forces(belief))
 
     def plan_without_forces(self, belief: Case) -> Plan:
-        """Return the plan without its forces."""
+        """Return the plan before planned foot forces are added."""
         ladder, robot = belief.obstacle_of_type(Ladder), belief.robot
         length, unit = robot.body_length, length_unit(robot)
         step = GaitStep.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.rate)
@@ -95,7 +95,7 @@ class LadderClimb(PlannedForces):
         return apply_direction(belief, compile_plan(start, stages, self.patience, free=ladder.start()))
 
     def validate(self, belief: Case) -> None:
-        """Check, if parameters are plain numbers, that the ladder stands, has enough rungs and is within reach.
+        """Raise an error unless the ladder stands, has enough rungs and is within reach; only for plain numbers.
 
         Raises:
             InputError: the ladder slides, lacks rungs or is out of reach.

@@ -29,7 +29,7 @@ PRESS = "press"  # law of moves that press feet in, which are left out where pla
 
 @parameters
 class PoleManoeuvre(PlannedForces):
-    """Base class of manoeuvres on a pole: by tripod to it, on to it, and up it by gallop. Ratios are to a_r.
+    """Base class of manoeuvres on a pole: approach by tripod, climb by gallop. Ratios are to a_r.
 
     Feet press on the pole by footholds inside it, as printed, or by planned forces.
 
@@ -67,11 +67,11 @@ class PoleManoeuvre(PlannedForces):
     default_plan_name = "pole"
 
     def regular_step(self, belief: Case) -> GaitStep:
-        """Return the step of the approach; swings on the pole are as long and as high."""
+        """Return step length and height of the approach, which swings on the pole share."""
         return GaitStep.from_ratios(length_unit(belief.robot), self.half_step_ratio, self.lift_ratio, self.rate)
 
     def move_context(self, belief: Case) -> MoveContext:
-        """Return the charts and directions that moves of the plan file refer to.
+        """Return the charts and directions to which moves in the plan file refer.
 
         The chart `edges` is for a base that pitches up before the pole, `hang` for one that is upright beside it.
         """
@@ -81,7 +81,7 @@ class PoleManoeuvre(PlannedForces):
         return MoveContext(belief, unit, step.time, step.height, {"side": self.deepening}, charts, laws=(PRESS,))
 
     def climb_stages(self, belief: Case, gap: Array | float = 0.0) -> tuple[Stance, list[Stage], StandingState]:
-        """Return the start stance, the stages to the end of the gallop, and the `StandingState` after them.
+        """Return the start stance, the plan stages until the end of the gallop, and feet and base after them.
 
         Args:
             belief: believed parameters.
@@ -98,24 +98,24 @@ class PoleManoeuvre(PlannedForces):
         return start, [Stage("stand", STAND), *walk, *self.insert_load_transfer_rests([*climb, *gallop])], standing
 
     def insert_load_transfer_rests(self, stages: list[Stage]) -> list[Stage]:
-        """Return the stages, with a rest for load transfer before each of them if forces are planned."""
+        """Return the plan stages with a rest before each, for load transfer, if forces are planned."""
         return self.with_load_transfer(stages) if self.forces == "planned" else stages
 
 
 @parameters
 class PoleClimb(PoleManoeuvre):
-    """By tripod to the pole, on to it, and up it by gallop."""
+    """Walk by tripod to the pole, and climb it by gallop."""
 
     goal: ClassVar = ON_ITS_FEET
     two_way: ClassVar = True
     kind: str = choice("pole_climb", "pole_climb")
 
     def plan(self, belief: Case) -> Plan:
-        """Return the plan: the climb and a halt, with its forces if they are planned."""
+        """Return the plan: climb and halt, with planned forces if configured."""
         start, stages = self.route_stages(belief)
         plan = apply_direction(belief, compile_plan(start, [*stages, Stage("halt", STAND)], self.patience))
         return self.with_feedforward(belief, plan) if self.forces == "planned" else plan
 
     def route_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:
-        """Return the start stance and the stages of the climb."""
+        """Return the start stance and the plan stages of the climb."""
         return self.climb_stages(belief)[:2]

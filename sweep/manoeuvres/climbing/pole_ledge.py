@@ -37,7 +37,7 @@ from sweep.planning.moves import part_stages
 
 @parameters
 class PoleToLedge(PoleTop):
-    """By tripod to the pole, up it, over its top on to the ledge, and away by tripod."""
+    """Walk by tripod to the pole, climb it, cross its top to the ledge, and walk away."""
 
     goal: ClassVar = UPRIGHT
     kind: str = choice("pole_ledge", "pole_ledge")
@@ -47,11 +47,11 @@ class PoleToLedge(PoleTop):
 
     @property
     def default_plan_name(self) -> str:
-        """Name of the plan file for a ledge level with the top, above or below it."""
+        """Name of the default plan file, by whether the ledge is level with the top, above or below it."""
         return f"pole_ledge_{self.across}"
 
     def route_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:
-        """Return the start stance and the stages: on to the top, across to the ledge, away."""
+        """Return the start stance and the plan stages: on to the top, across to the ledge, away."""
         start, stages, standing = self.top_stages(belief)
         context, pole = self.move_context(belief), belief.obstacle_of_type(PoleLedge)
         cross, _ = part_stages("ledge", context, standing)

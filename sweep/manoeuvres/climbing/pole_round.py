@@ -31,7 +31,7 @@ HALF_TURN = (0.0, 0.0, np.pi)  # rotation vector of the half turn to the ledge's
 
 @parameters
 class PoleRound(PoleManoeuvre):
-    """By tripod to the pole, up it, half-way round it by gallop, backwards down on to the ledge and away.
+    """Climb the pole, go half-way round it by gallop, descend backwards on to the ledge, and walk away.
 
     The way down is the climb backwards in time, from the other side and above the ledge's height. The book calls it the
     reverse of 2.3.3, the way on to the top, but means 2.3.2, since the robot goes to the ledge.
@@ -66,7 +66,7 @@ class PoleRound(PoleManoeuvre):
 
 
 def half_turn_stages(step: GaitStep, start: Stance) -> list[Stage]:
-    """Return the stages of 2.3.6: pairs of feet go round the pole by `STEP` in turn, while the base goes round evenly.
+    """Return the plan stages of 2.3.6: pairs of feet go round the pole in turn by `STEP`, while the base turns evenly.
 
     Printed for tripods. The three standing feet then press unevenly, since the base turns a little while only three
     hold it: feet that land 2 mm off carry nothing when it is their turn to hold, and the robot falls. The pairs of the

@@ -16,7 +16,7 @@ from sweep.planning.moves import StandingState, part_stages
 
 @parameters
 class PoleTop(PoleClimb):
-    """By tripod to the pole, up it by gallop, and on to its top."""
+    """Walk by tripod to the pole, climb it by gallop, and stand on its top."""
 
     goal: ClassVar = UPRIGHT
     kind: str = choice("pole_top", "pole_top")
@@ -25,7 +25,7 @@ class PoleTop(PoleClimb):
     default_plan_name = "pole_top"
 
     def top_stages(self, belief: Case) -> tuple[Stance, list[Stage], StandingState]:
-        """Return the start stance, the stages on to the top, and the `StandingState` after them.
+        """Return the start stance, the plan stages on to the top, and feet and base after them.
 
         The gallop ends with the front edge of the base x* below the top.
         """
@@ -37,5 +37,5 @@ class PoleTop(PoleClimb):
         return start, [*climb, *self.insert_load_transfer_rests(stages)], standing
 
     def route_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:
-        """Return the start stance and the stages until the robot stands on the top."""
+        """Return the start stance and the plan stages until the robot stands on the top."""
         return self.top_stages(belief)[:2]

@@ -15,7 +15,7 @@ from sweep.planning.gaits import TRIPOD, GaitStep, initial_foot_offsets, regular
 
 
 class WalkingDirection(NamedTuple):
-    """Direction in which a robot looks and walks."""
+    """Direction in which a robot faces and walks."""
 
     quat: tuple[float, float, float, float]  # base to world
     forward: tuple[float, float, float]
@@ -50,7 +50,7 @@ def approach_stages(
     steps: int,
     gap: Array | float = 0.0,
 ) -> tuple[Stance, list[Stage]]:
-    """Return the start stance and the stages of an approach by tripod, with last swings to given places.
+    """Return the start stance and the plan stages of an approach by tripod, whose last swings go to given footholds.
 
     The base walks to a point `gap` (m) before its arrival, and covers the rest while the feet go to their places.
 
@@ -85,7 +85,7 @@ def departure_stages(
     steps: int,
     facing: WalkingDirection = ALONG_Y,
 ) -> tuple[list[Stage], list[Stage]]:
-    """Return the stages that bring the feet into a tripod gait, and those of walking away.
+    """Return the plan stages that bring the feet into a tripod gait and walk away.
 
     Args:
         belief: has the robot.

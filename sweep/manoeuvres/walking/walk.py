@@ -42,7 +42,7 @@ class Walk(Manoeuvre):
         return tilt_to_ground(plan, belief)
 
     def swing_stages(self, belief: Case, start_offset: Callable[[Array], Array | float]) -> tuple[Stance, list[Stage]]:
-        """Return the start stance and the swings on level ground.
+        """Return the start stance and the plan stages of all swings on level ground.
 
         Args:
             belief: believed parameters.
@@ -90,7 +90,7 @@ def level_stance(belief: Case, spread: Array | float, height: Array | float) -> 
 
 
 def tilt_to_ground(plan: Plan, belief: Case) -> Plan:
-    """Return a plan for level ground, turned by the believed slope."""
+    """Return a plan for level ground rotated to the believed slope."""
     return transform_plan(
         plan, exponential(jnp.array([0.0, -1.0, 0.0]) * belief.obstacle_of_type(Plane).slope), jnp.zeros(3)
     )

@@ -55,7 +55,7 @@ class Waypoints(Manoeuvre):
     needs = (Plane,)
 
     def plan(self, belief: Case) -> Plan:
-        """Return the plan: stand, two stages a cycle, halt.
+        """Return the plan: stand, two stages per gait cycle, halt.
 
         At the end, the body goes to the last waypoint even if the steps fell short of it. So a plan with too few
         `cycles` shows as legs out of reach rather than as a success. If thigh and shin vary in a study, plans of rows
@@ -93,7 +93,8 @@ class Waypoints(Manoeuvre):
         return foot[0], -foot[2]
 
     def cycle_steps(self, robot: Robot) -> Float[Array, "cycles 3"]:
-        """Return the step of each cycle (m): the largest one, or half of the remaining distance if that is shorter."""
+        """Return the step length of each gait cycle (m): the largest possible, or half of the remaining distance if
+        shorter."""
         points = jnp.array(WAYPOINTS)
 
         def cycle(state: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
@@ -111,7 +112,7 @@ class Waypoints(Manoeuvre):
         return jax.lax.scan(cycle, (points[0], jnp.int32(1)), length=self.cycles)[1]
 
     def largest_steps(self, robot: Robot, direction: Float[Array, " 2"]) -> Float[Array, " 6"]:
-        """Return each leg's largest step (m) by leg number: thesis (18)-(21).
+        """Return the largest step (m) of each leg in a direction, by leg number: thesis (18)-(21).
 
         Feet of the first tripod step ahead of home and back, those of the second behind home and back. Either segment
         is covered in support once, so the whole segment must be admissible, and the limit of the transfer is never the

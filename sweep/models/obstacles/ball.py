@@ -68,7 +68,7 @@ def tangent_base_position(
 
 
 def tangent_pitch(obstacle: "Ball", unit: Number, elevation: Number, distance: Number, ahead: Number = 0.0) -> Array:
-    """Return the pitch of a base at chart coordinates of `tangent_base_position`.
+    """Return the pitch (rad) of a base at the chart coordinates that `tangent_base_position` uses.
 
     Args:
         obstacle: The ball.
@@ -90,7 +90,7 @@ def pitch_pivot(obstacle: "Ball", unit: Number, *numbers: Number) -> Float[Array
 
 @parameters
 class Ball(ObstacleDefaults):
-    """A free ball, of radius 0.8 a_r and 100 kg by default, on the floor.
+    """A free ball on the floor, by default of radius 0.8 a_r and 100 kg.
 
     At the start it rests on the world's origin, or rolls over it."""
 
@@ -123,7 +123,7 @@ class Ball(ObstacleDefaults):
     contact_sites = (("ball", 0),)
 
     def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
-        """Add the floor and the balls to a spec."""
+        """Add the floor and the balls to a MuJoCo spec."""
         leaves, bodies = self.batched_model_fields(), []
         for name, place in zip(self.free_bodies, np.asarray(self.start().position, float), strict=True):
             mass, inertia = (np.asarray(leaves[field][name], float) for field in ("body_mass", "body_inertia"))
@@ -139,7 +139,7 @@ class Ball(ObstacleDefaults):
         add_rolling_contact(spec.worldbody, bodies, self.radius, resistance)
 
     def batched_model_fields(self) -> dict[str, dict[str, Array]]:
-        """MuJoCo's mass and inertia of the ball, by field and body."""
+        """Return mass and inertia of the ball as MuJoCo model fields, by field and body."""
         inertia = 2 / 5 * self.mass * self.radius**2
         return {
             "body_mass": {"ball": jnp.asarray(self.mass)},
@@ -147,7 +147,7 @@ class Ball(ObstacleDefaults):
         }
 
     def start(self) -> FreeState:
-        """State of a ball that rolls without slip."""
+        """Return the start state of a ball that rolls without slip."""
         direction = jnp.stack([jnp.cos(self.course), jnp.sin(self.course), jnp.zeros_like(jnp.cos(self.course))])
         velocity = self.speed * direction
         turn = jnp.cross(jnp.array([0.0, 0.0, 1.0]), velocity) / self.radius
@@ -160,7 +160,7 @@ class Ball(ObstacleDefaults):
         return floor, Sphere(name="ball", radius=self.radius, centre=bodies.position[0], body=0)
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """Return the contact surface at points (m): of floor and ball, the one that the point is deeper in.
+        """Return the contact surface at points (m): of floor or ball, whichever the point is deeper in.
 
         A point that belongs to the ball is its centre and touches only the floor, one radius below.
         """

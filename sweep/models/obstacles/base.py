@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class ObstacleDefaults:
-    """Defaults of an obstacle: no charts, no sizes to learn by touch, no external wrench on its bodies."""
+    """Default members of an obstacle: no charts, no sizes to learn by touch, no external wrench on free bodies."""
 
     charts: ClassVar[dict[str, Chart]] = {}
     forward: tuple[float, float] = (0.0, -1.0)
@@ -24,24 +24,24 @@ class ObstacleDefaults:
     stood_on: tuple[str, ...] = ()
 
     def external_wrench(self, free: FreeState) -> Float[Array, "k 6"] | None:
-        """No wrench other than weight and contact."""
+        """Return None: no wrench acts on free bodies other than weight and contact."""
         return None
 
 
 class StaticObstacle(ObstacleDefaults, ABC):
-    """An obstacle without free bodies; a subclass adds a kind, sizes, solids and a surface."""
+    """Base class of obstacles without free bodies; a subclass adds a kind, sizes, solids and a surface."""
 
     free_bodies: tuple[str, ...] = ()
     contact_sites: tuple[tuple[str, int], ...] = ()
 
     @abstractmethod
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """The solids of which the obstacle consists."""
+        """Return the solids of which the obstacle consists."""
 
     def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
-        """Add the solids to the spec as geoms."""
+        """Add the solids to a MuJoCo spec as geoms."""
         add_solids(spec, self.solids(identity_poses(0)), friction)
 
     def batched_model_fields(self) -> dict[str, dict[str, Array]]:
-        """No fields, since nothing moves."""
+        """Return no model fields, since nothing moves."""
         return {}

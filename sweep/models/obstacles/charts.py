@@ -1,4 +1,4 @@
-"""Charts: named coordinates in which plan tables give footholds and base poses. Obstacles and manoeuvres offer them."""
+"""Charts: named coordinates in which plan files give footholds and base poses; offered by obstacles and manoeuvres."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -14,7 +14,7 @@ ALONG_X, ALONG_Y = (1.0, 0.0), (0.0, -1.0)
 
 
 class Chart(NamedTuple):
-    """Coordinates of points by name, and the function that maps them to metres; obstacles define them."""
+    """Named coordinates of points (a chart), and the function that maps them to metres; obstacles define them."""
 
     names: tuple[str, ...]
     # the point (m) in `frame` of: what offers the chart; -1 or 1, the leg's side, as it mirrors places; the unit of
@@ -35,7 +35,7 @@ class Chart(NamedTuple):
 
 
 def edge_chart(edge: Callable[[Any], tuple[Number, Number]]) -> Chart:
-    """Make a chart for bases that approach along -y, relative to an edge at (y, z) (m) in the plane x = 0."""
+    """Make a chart for base positions that approach along -y, relative to an edge at (y, z) (m) in the plane x = 0."""
 
     def at(owner: Any, side: float, unit: Number, depth: Number, ahead: Number, above: Number) -> Float[Array, " 3"]:
         y, z = edge(owner)
@@ -87,7 +87,8 @@ def level_ground_charts(
 
 
 def rearing_base_chart(length: Number) -> Chart:
-    """Make a chart for bases of a `length` (m) that rear up in front of an obstacle which they approach along -y.
+    """Make a chart for base positions of a body of `length` (m) that rears up in front of an obstacle approached along
+    -y.
 
     The base's front edge moves up a vertical line and its rear edge along a level line; its centre goes round the point
     where these lines cross, whose coordinates are `ahead` and `above`.

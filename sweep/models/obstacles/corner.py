@@ -34,7 +34,7 @@ def roof_point(
 
 @parameters
 class Corner(StaticObstacle):
-    """The corner of a house.
+    """The vertical corner of a house with a flat roof, as an obstacle.
 
     Two walls that meet in the world's z axis and open towards -y, symmetric about the plane x = 0."""
 
@@ -51,7 +51,7 @@ class Corner(StaticObstacle):
     height: float = quantity(2.3, "m", above=0)  # h, of the house above the floor
 
     def walls(self) -> Float[Array, "2 3"]:
-        """Outward normals of both walls: the one towards -x, then the one towards +x."""
+        """Outward normals of both walls, first the wall towards -x, then the wall towards +x."""
         cos, sin = jnp.cos(self.half_angle), jnp.sin(self.half_angle)
         zero = jnp.zeros_like(cos)
         return jnp.stack([jnp.stack([-cos, sin, zero]), jnp.stack([cos, sin, zero])])
@@ -64,7 +64,8 @@ class Corner(StaticObstacle):
         return floor, Prism(name="house", polygon=polygon, height=self.height)
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """Surface of floor or house, whichever is deeper; the depth in the house is the least over its faces."""
+        """Return the surface of floor or house, whichever is deeper at each point; the depth in the house is the least
+        over its faces."""
         walls = self.walls().astype(points.dtype)
         up = jnp.array([0.0, 0.0, 1.0], points.dtype)
         z = points[:, 2]

@@ -1,4 +1,4 @@
-"""MuJoCo geoms of an obstacle's solids: a full-size one to render, and one shrunk by the foot radius for feet.
+"""MuJoCo geoms of an obstacle's solids: a full-size geom for rendering, and one shrunk by the foot radius for contact.
 
 MuJoCo is imported as a model is made: what is wrong with a configuration is told before.
 """
@@ -29,7 +29,7 @@ def add_solids(spec: "mujoco.MjSpec", solids: Sequence[Solid], friction: float, 
 
 
 def add_solid(spec: "mujoco.MjSpec", solid: Solid, name: str, margin: float = 0.0) -> dict[str, Any]:
-    """Options of a geom in the shape of a solid, shrunk by `margin` (m), in the solid's axes.
+    """Return the options of a geom in the shape of a solid, shrunk by `margin` (m), in the solid's axes.
 
     A prism's is a mesh called `name`, which is put in the spec.
     """
@@ -146,7 +146,7 @@ def _inset(polygon: np.ndarray, margin: float) -> np.ndarray:
 
 
 def hidden_geom_options() -> dict[str, Any]:
-    """Options of a geom that collides and is not rendered."""
+    """Return the options of a geom that collides but is not rendered."""
     return {"rgba": [0, 0, 0, 0], "group": COLLISION_GROUP, "mass": 0.0}
 
 

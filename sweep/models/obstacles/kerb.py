@@ -18,7 +18,7 @@ BEYOND_EDGE_CHART, OVER_EDGE_BASE_CHART = level_ground_charts(lambda obstacle: (
 
 @parameters
 class Kerb(StaticObstacle):
-    """A kerb, 0.1 m high by default: the ground is higher where x > 0."""
+    """A step up in level ground, by default 0.1 m high: the ground is higher where x > 0."""
 
     # `floor` and `top` for feet before and beyond the edge, `foot` and `edge` for bases from there
     charts: ClassVar = {
@@ -42,7 +42,8 @@ class Kerb(StaticObstacle):
         )
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """Surface of floor or block, whichever is deeper; the depth in the block is the least over both faces."""
+        """Return the surface of floor or block, whichever is deeper at each point; the depth in the block is the least
+        over both faces."""
         x, _, z = points.T
         block = jnp.minimum(x, self.height - z)
         face = jnp.select([-z >= block, x <= self.height - z], [FLOOR, WALL], TOP)

@@ -78,7 +78,7 @@ def base_pitch(
 
 
 class LadderBars(NamedTuple):
-    """Boxes of a ladder in its own axes: two rails, then the rungs from the lowest up."""
+    """Boxes of a ladder's bars in its own axes: two rails, then the rungs from the lowest up."""
 
     centre: Float[Array, "n 3"]  # m, from the mass centre
     half: Float[Array, "n 3"]  # m
@@ -129,7 +129,7 @@ class Ladder(ObstacleDefaults):
 
     @property
     def mass_centre_distance(self) -> Array | float:
-        """Distance (m) of the mass centre from the lower ends of the rails, along them."""
+        """Distance (m) of the mass centre from the lower ends of the rails, along the rails."""
         rails, rungs = self._volumes()
         middle = (0.5 + 0.5 * self.rungs) * self.rung_step - self.rung_height / 2
         return (rails * self.length / 2 + rungs * middle) / (rails + rungs)
@@ -141,16 +141,17 @@ class Ladder(ObstacleDefaults):
 
     @property
     def ledge_extra_height(self) -> Array | float:
-        """Height (m, along the ladder) of the ledge over its nominal place, `LEDGE_HEIGHT_RUNGS` rungs."""
+        """Height (m, along the ladder) of the ledge above its nominal height of `LEDGE_HEIGHT_RUNGS` rungs."""
         return self.ledge_height / jnp.sin(jnp.asarray(self.lean)) - LEDGE_HEIGHT_RUNGS * self.rung_step
 
     def y_at_rung(self, rungs: Array | float) -> Array | float:
-        """Coordinate y (m, ladder axes) at a height along the ladder in rungs; whole numbers are tops of rungs."""
+        """Return the coordinate y (m, ladder axes) at a height along the ladder in rungs; whole numbers are tops of
+        rungs."""
         return self.mass_centre_distance - rungs * self.rung_step
 
     @property
     def landmarks(self) -> Float[Array, "1 3"]:
-        """The middle between the rails' lower ends (m, ladder axes)."""
+        """The observed point: the middle between the rails' lower ends (m, ladder axes)."""
         return stack_point(0.0, self.mass_centre_distance, 0.0)[None]
 
     def _volumes(self) -> tuple[Array | float, Array | float]:
@@ -171,7 +172,7 @@ class Ladder(ObstacleDefaults):
         )
 
     def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
-        """Add floor, ledge and ladder to a spec; small spheres at the ladder's corners touch floor and wall."""
+        """Add floor, ledge and ladder to a MuJoCo spec; small spheres at the ladder's corners touch floor and wall."""
         import mujoco
 
         values = self.batched_model_fields()
@@ -202,7 +203,7 @@ class Ladder(ObstacleDefaults):
             )
 
     def batched_model_fields(self) -> dict[str, dict[str, Array]]:
-        """Mass, inertia of homogeneous bars, and contact sites at the ends of the rails."""
+        """Return mass, inertia of homogeneous bars, and contact sites at the rail ends, as MuJoCo model fields."""
         bars = self.bars()
         volume = jnp.prod(bars.half, axis=-1)
         mass = self.mass * volume / jnp.sum(volume)
@@ -219,7 +220,7 @@ class Ladder(ObstacleDefaults):
         }
 
     def start(self) -> FreeState:
-        """Return the ladder at rest, `gap` away from floor and wall."""
+        """Return the start state of the ladder: at rest, `gap` away from floor and wall."""
         lean, edge = jnp.asarray(self.lean), self.rail_depth / 2
         sin, cos, zero = jnp.sin(lean), jnp.cos(lean), jnp.zeros_like(lean)
         y = self.gap + (self.length - self.mass_centre_distance) * cos + edge * sin
@@ -228,7 +229,7 @@ class Ladder(ObstacleDefaults):
         return FreeState(stack_point(0.0, y, z)[None], quat[None], jnp.zeros((1, 3)), jnp.zeros((1, 3)))
 
     def start_poses(self) -> BodyPoses:
-        """Pose of the ladder at the start."""
+        """Pose of the ladder at the start of a rollout."""
         start = self.start()
         return BodyPoses(start.position, matrix(start.quat))
 
@@ -253,7 +254,7 @@ class Ladder(ObstacleDefaults):
         )
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """The solid in which a point is deepest: floor, ledge or a bar, whose depth is the least over its faces.
+        """Return the surface of the solid in which each point is deepest: floor, ledge or a bar.
 
         The ladder's own corners touch floor and wall only.
         """

@@ -36,7 +36,7 @@ def base_between(
 
 @parameters
 class Ledges(Ball):
-    """A ball of 100 kg between ledges that are a tenth lower than its top; at the start it rests at the near wall."""
+    """A ball of 100 kg between two ledges that are a tenth lower than its top; it starts at rest at the near wall."""
 
     charts: ClassVar = {
         **Ball.charts,
@@ -56,13 +56,13 @@ class Ledges(Ball):
     contact_sites = (("ball", 0), ("beside", 0))
 
     def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
-        """Add floor, ball and ledges to a spec."""
+        """Add floor, ball and ledges to a MuJoCo spec."""
         super().add_to(spec, friction)
         for name in ("near_ledge", "far_ledge"):
             add_contact_pair(spec, name, "ball", friction * self.wall_grip, self.impact_damping)
 
     def start(self) -> FreeState:
-        """The ball at rest beside the near wall."""
+        """Return the start state: the ball at rest beside the near wall."""
         free = super().start()
         place = stack_point(self.radius + self.gap, self.offset, 0.0)
         return free._replace(position=free.position + place)
@@ -80,7 +80,7 @@ class Ledges(Ball):
         return *super().solids(bodies), near, far
 
     def depth_behind_walls(self, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
-        """Depth of points behind the near wall and behind the far wall (m)."""
+        """Return the depths (m) of points behind the near wall and behind the far wall."""
         return jnp.stack([-points[:, 0], points[:, 0] - self.width], axis=-1)
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:

@@ -33,7 +33,7 @@ def base_pitch(obstacle: "Plane", unit: Number, ahead: Number, above: Number, pi
 
 @parameters
 class Plane(StaticObstacle):
-    """Ground through the world's origin, rising towards +x by `slope`."""
+    """Flat ground through the world's origin, rising towards +x by `slope`."""
 
     # of feet, then of bases
     charts: ClassVar = {

@@ -40,7 +40,7 @@ def ledge_point(
 
 @parameters
 class PoleLedge(StaticObstacle):
-    """Pole along the world's z axis; the ledge fills y < -radius, z < ledge_height."""
+    """A pole along the world's z axis, and a ledge that fills y < -radius, z < ledge_height."""
 
     # `axis` and `brink`, for bases, begin at the height of the pole's top: on its axis, and over the ledge's edge;
     # `floor`, and `foot` for bases, at the foot of its axis
@@ -68,7 +68,8 @@ class PoleLedge(StaticObstacle):
         )
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """Surface of the deepest of floor, pole and ledge; the depth in a solid is the least over its faces."""
+        """Return the surface of the deepest of floor, pole and ledge at points; the depth in a solid is the least over
+        its faces."""
         x, y, z = points.T
         distance = jnp.sqrt(x**2 + y**2 + 1e-12)
         side, top = self.radius - distance, self.height - z

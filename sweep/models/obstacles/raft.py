@@ -41,7 +41,8 @@ FAR_BANK_CHART, FAR_BANK_BASE_CHART = level_ground_charts(lambda obstacle: (obst
 
 @parameters
 class Raft(ObstacleDefaults):
-    """A floating box, 3 by 2 by 0.2 of a_r in the proportions of 4.4, whose deck is level with the banks under a robot.
+    """A floating box on still water between two banks, by default 3 by 2 by 0.2 times a_r, with its deck level with the
+    banks.
 
     At the start it rests, `gap` from the near bank.
     """
@@ -74,25 +75,25 @@ class Raft(ObstacleDefaults):
 
     @property
     def half_size(self) -> Float[Array, " 3"]:
-        """Half length, width and thickness: a, b, d (m)."""
+        """Half length, half width and half thickness a, b, d (m)."""
         return 0.5 * stack_point(self.length, self.width, self.thickness)
 
     @property
     def mass(self) -> Array | float:
-        """Mass M of the whole block (kg)."""
+        """Mass M of the whole raft (kg)."""
         return self.density * self.length * self.width * self.thickness
 
     @property
     def landmarks(self) -> Float[Array, "1 3"]:
-        """The middle of the deck's corners."""
+        """The observed point: the middle of the deck's corners (m, raft axes)."""
         return self.half_size[None] * jnp.array([0.0, 0.0, 1.0])
 
     def draught(self, load: Array | float = 0.0) -> Array | float:
-        """Draught (m) of the level raft with a load (kg) on it."""
+        """Return the draught (m) of the level raft under a load (kg)."""
         return (self.mass + load) / (WATER_DENSITY * self.length * self.width)
 
     def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
-        """Add banks, raft and a shape for the water, which only renders, to a spec."""
+        """Add banks, raft and a rendered water surface to a MuJoCo spec."""
         import mujoco
 
         leaves = self.batched_model_fields()
@@ -116,7 +117,8 @@ class Raft(ObstacleDefaults):
         )  # fmt: skip
 
     def batched_model_fields(self) -> dict[str, dict[str, Array]]:
-        """Mass and inertia of a homogeneous box, and contact sites at the middles of its upright edges."""
+        """Return mass and inertia of a homogeneous box, and contact sites at its upright edges, as MuJoCo model
+        fields."""
         half, mass = self.half_size, jnp.asarray(self.mass)
         sides = half * jnp.array([1.0, 1.0, 0.0])
         sites = zip(self.contact_sites, CORNER_SIGNS, strict=True)
@@ -127,7 +129,7 @@ class Raft(ObstacleDefaults):
         }
 
     def start(self) -> FreeState:
-        """State of the raft afloat and at rest."""
+        """Return the start state of the raft: afloat and at rest."""
         half, still = self.half_size, jnp.zeros((1, 3))
         x, z = half[0] + self.gap, half[2] - self.draught(self.laden) - self.bank_height
         return FreeState(jnp.stack([x, jnp.zeros_like(x), z])[None], jnp.array([[1.0, 0.0, 0.0, 0.0]]), still, still)
@@ -143,7 +145,7 @@ class Raft(ObstacleDefaults):
         )  # fmt: skip
 
     def external_wrench(self, free: FreeState) -> Float[Array, "1 6"]:
-        """Wrench of buoyancy, drag in the current, and mooring ropes: monograph 4.1.
+        """Return the wrench of buoyancy, drag in the current, and mooring ropes on the raft: monograph 4.1.
 
         It assumes that the whole bottom is wet and the deck is dry.
         """

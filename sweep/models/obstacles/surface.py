@@ -1,4 +1,5 @@
-"""The interface of obstacles that contact, planning, metrics and renders share; surfaces and poses of free bodies."""
+"""The interface of obstacles to contact, planning, metrics and rendering: surfaces, solids, and poses of free
+bodies."""
 
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, runtime_checkable
 
@@ -35,17 +36,17 @@ class BodyPoses(NamedTuple):
 
 
 def body_poses(free: FreeState) -> BodyPoses:
-    """Drop the velocities from a state of free bodies."""
+    """Return the poses in a state of free bodies, without velocities."""
     return BodyPoses(free.position, matrix(free.quat))
 
 
 def no_free_bodies() -> FreeState:
-    """An empty state, for obstacles without free bodies."""
+    """Return an empty state, for obstacles without free bodies."""
     return FreeState(jnp.zeros((0, 3)), jnp.zeros((0, 4)), jnp.zeros((0, 3)), jnp.zeros((0, 3)))
 
 
 def identity_poses(count: int) -> BodyPoses:
-    """Poses of `count` free bodies at the origin without rotation: solids then come in body axes."""
+    """Return poses of `count` free bodies at the origin without rotation, with which solids are given in body axes."""
     return BodyPoses(jnp.zeros((count, 3)), jnp.asarray(np.tile(np.eye(3), (count, 1, 1))))
 
 
@@ -58,7 +59,7 @@ class RollingResistance(NamedTuple):
 
 
 class Surface(NamedTuple):
-    """The surface nearest to each of n points, world axes; `Obstacle.surface` makes it."""
+    """The surface nearest to each of n points (depth, normal, contact data), world axes; made by `Obstacle.surface`."""
 
     depth: Float[Array, " n"]  # m, positive inside the solid, negative outside (speculative contact)
     normal: Float[Array, "n 3"]  # outward
@@ -70,23 +71,23 @@ class Surface(NamedTuple):
 
 
 class Obstacle(Protocol):
-    """What the robot stands on or climbs: a parameter dataclass with these members."""
+    """The interface of an obstacle, on which the robot stands or climbs; implemented by parameter dataclasses."""
 
     charts: ClassVar[dict[str, "Chart"]]  # coordinates for plan tables, by name
 
     @property
     def kind(self) -> str:
-        """Its name in the configuration."""
+        """Name of the obstacle in the configuration."""
         ...
 
     @property
     def free_bodies(self) -> tuple[str, ...]:
-        """Names of its bodies with a free joint, in the order of `BodyPoses`."""
+        """Names of the obstacle's bodies that move freely, in the order of `BodyPoses`."""
         ...
 
     @property
     def contact_sites(self) -> tuple[tuple[str, int], ...]:
-        """Names of the sites where free bodies may touch the world, each with the index of its body.
+        """Names of the sites at which free bodies may touch the world, each with the index of its body.
 
         A body may touch in several places at once: a ball that meets a wall as it lies on the floor has two sites at
         its centre, which `surface` tells apart by their order.
@@ -95,45 +96,49 @@ class Obstacle(Protocol):
 
     @property
     def forward(self) -> tuple[float, float]:
-        """Horizontal unit vector of the direction in which robots approach."""
+        """Horizontal unit vector of the direction in which robots approach the obstacle."""
         ...
 
     @property
     def heights(self) -> tuple[str, ...]:
-        """Names of sizes that are heights of footholds; plans assume them larger while they are uncertain."""
+        """Names of the size parameters that are heights of footholds; plans assume them larger while they are
+        uncertain."""
         ...
 
     @property
     def lying(self) -> tuple[str, ...]:
-        """Names of sizes that can be estimated from how high free bodies lie on the floor."""
+        """Names of the size parameters that the robot can estimate from how high free bodies lie on the floor."""
         ...
 
     @property
     def stood_on(self) -> tuple[str, ...]:
-        """Names of sizes that can be estimated from feet on free bodies; without free bodies, feet tell all sizes."""
+        """Names of the size parameters that the robot can estimate from feet on free bodies; without free bodies, all
+        sizes."""
         ...
 
     def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
-        """Add the obstacle's geoms, bodies and sites to a spec; contact geoms are shrunk by `FOOT_RADIUS`."""
+        """Add the obstacle's geoms, bodies and sites to a MuJoCo spec; contact geoms are shrunk by `FOOT_RADIUS`."""
         ...
 
     def batched_model_fields(self) -> dict[str, dict[str, Array]]:
-        """Fields of the MuJoCo model that depend on sizes and masses, by field and by body or site name."""
+        """Return the MuJoCo model fields that depend on sizes and masses, by field and by body or site name."""
         ...
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """The solids of the obstacle, with its free bodies at the poses `bodies`. Plain sizes stay plain numbers."""
+        """Return the solids of the obstacle, with its free bodies at the poses `bodies`."""
         ...
 
     def external_wrench(self, free: FreeState) -> Float[Array, "k 6"] | None:
-        """Force (N) and torque (N m) on each free body other than weight and contact, world axes; None for no wrench.
+        """Return force (N) and torque (N m) on each free body other than weight and contact, world axes; None if there
+        are none.
 
         Every physics step calls it if there are free bodies.
         """
         ...
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """The surface at points (m, world axes); `owner` is the free body to which a point belongs, -1: the robot."""
+        """Return the surface at points (m, world axes); `owner` is the free body to which a point belongs, -1 for the
+        robot."""
         ...
 
 
@@ -142,7 +147,7 @@ class MovingObstacle(Obstacle, Protocol):
     """An obstacle that has free bodies."""
 
     def start(self) -> FreeState:
-        """State of the free bodies at the start of a rollout."""
+        """Return the state of the free bodies at the start of a rollout."""
         ...
 
 
@@ -157,12 +162,13 @@ class LandmarkedObstacle(MovingObstacle, Protocol):
 
 
 def landmarks(obstacle: Obstacle) -> Float[Array, "k 3"]:
-    """Observed points of an obstacle's free bodies (m, body axes, from the mass centre); zeros by default."""
+    """Return the observed points of an obstacle's free bodies (m, body axes, from the mass centre); zeros by
+    default."""
     return obstacle.landmarks if isinstance(obstacle, LandmarkedObstacle) else jnp.zeros((len(obstacle.free_bodies), 3))
 
 
 def landmark_state(obstacle: Obstacle, free: FreeState) -> FreeState:
-    """Move a state of free bodies from mass centres to landmarks.
+    """Convert a state of free bodies from mass centres to the observed points (landmarks).
 
     Args:
         obstacle: The obstacle.
@@ -175,7 +181,7 @@ def landmark_state(obstacle: Obstacle, free: FreeState) -> FreeState:
 
 
 def state_from_landmarks(obstacle: Obstacle, marks: FreeState) -> FreeState:
-    """Move a state of free bodies from landmarks to mass centres, the inverse of `landmark_state`.
+    """Convert a state of free bodies from observed points (landmarks) to mass centres, the inverse of `landmark_state`.
 
     Args:
         obstacle: The obstacle.
@@ -193,7 +199,7 @@ def _shift(free: FreeState, by: Float[Array, "k 3"]) -> FreeState:
 
 
 def free_start_state(obstacle: Obstacle) -> FreeState:
-    """State of an obstacle's free bodies at the start of a rollout; empty if it has none."""
+    """Return the state of an obstacle's free bodies at the start of a rollout; empty if it has none."""
     if not obstacle.free_bodies:
         return no_free_bodies()
     assert isinstance(obstacle, MovingObstacle), f"{obstacle.kind} lacks a member of MovingObstacle"
@@ -201,7 +207,7 @@ def free_start_state(obstacle: Obstacle) -> FreeState:
 
 
 def surface_at(obstacle: Obstacle, points: Float[Array, "n 3"], bodies: BodyPoses) -> Surface:
-    """The obstacle's surface at points of the robot.
+    """Return the obstacle's surface at points of the robot.
 
     Args:
         obstacle: The obstacle.
@@ -212,6 +218,6 @@ def surface_at(obstacle: Obstacle, points: Float[Array, "n 3"], bodies: BodyPose
 
 
 def critical_damping(mass: Array | float) -> Array:
-    """Critical damping (N s/m) of a contact between a body of `mass` (kg) and the world, of stiffness
-    `IMPACT_STIFFNESS`."""
+    """Return the critical damping (N s/m) of a contact of stiffness `IMPACT_STIFFNESS` between a body of `mass` (kg)
+    and the world."""
     return 2 * jnp.sqrt(IMPACT_STIFFNESS * mass)

@@ -32,7 +32,8 @@ def base_above_ball(
 
 @parameters
 class TwoBalls(Ball):
-    """Two balls of 400 kg and a radius of 0.8 body lengths. The first one starts at the origin, at rest or rolling."""
+    """Two balls of 400 kg and radius 0.8 a_r, one ahead of the other; the first starts at the origin, at rest or
+    rolling."""
 
     charts: ClassVar = {
         **Ball.charts,
@@ -57,13 +58,13 @@ class TwoBalls(Ball):
         add_contact_pair(spec, "ball", "second_ball", friction * self.ball_grip, self.impact_damping)
 
     def batched_model_fields(self) -> dict[str, dict[str, Array]]:
-        """Mass and inertia of both balls."""
+        """Return mass and inertia of both balls as MuJoCo model fields."""
         return {
             field: dict.fromkeys(self.free_bodies, of["ball"]) for field, of in super().batched_model_fields().items()
         }
 
     def start(self) -> FreeState:
-        """State of both balls, at rest or rolling without slip."""
+        """Return the start state of both balls, at rest or rolling without slip."""
         first = super().start()
         ahead = 2 * self.radius + self.gap
         place = stack_point(ahead, self.offset, self.radius)[None]

@@ -62,7 +62,7 @@ TELLING = (
 
 @dataclass(frozen=True)
 class PageFigure:
-    """A figure as the page shows it."""
+    """A study figure in the form that the HTML page shows."""
 
     key: str
     title: str
@@ -185,7 +185,7 @@ def render_page(
 
 
 def make_page_figure(figure: StudyFigure) -> PageFigure:
-    """Draw a figure for the page: as an image for print only where the script draws it on screen."""
+    """Convert a study figure for the page; an image is drawn for print only if the page's script draws it on screen."""
     live = figure.key.startswith("map-") or figure.key in ("draws", "causes", "distributions")
     with plot_style():
         return PageFigure(
@@ -198,7 +198,7 @@ def make_page_figure(figure: StudyFigure) -> PageFigure:
 
 
 def check_expectations(results: Results) -> Iterator[tuple[str, str]]:
-    """Yield each expectation of the study, and `met` or the actual result."""
+    """Yield each expectation of the study with `met` or the actual result."""
     expectations = results.exp.study.expect
     for one, line in zip(expectations, judge_expectations(expectations, results.rows, results.exp), strict=True):
         where = f" where {one.where}" if one.where else ""
@@ -230,12 +230,12 @@ def representative_values(representative: Representative, exp: Experiment) -> It
 
 
 def picture_url(representative: Representative) -> str:
-    """Data URL of a representative rollout's picture; empty if there is none."""
+    """Return the data URL of a representative rollout's picture; empty if there is none."""
     return data_url(read_bytes_limited(representative.picture)) if representative.picture.exists() else ""
 
 
 def first_rows_table(rows: pd.DataFrame, exp: Experiment) -> Markup:
-    """The first rows of the study as HTML: identity and outcome first, then parameters."""
+    """Return the first rows of the study as an HTML table: identity and outcome first, then parameters."""
     axes = [c for c in tables.readable_columns(rows) if c not in LABEL_COLUMNS]
     columns = ["point_id", *LABEL_COLUMNS, *axes]
     return table_as_html(
@@ -244,7 +244,7 @@ def first_rows_table(rows: pd.DataFrame, exp: Experiment) -> Markup:
 
 
 def table_as_html(shown: pd.DataFrame, index: bool, hints: Iterable[str] = ()) -> Markup:
-    """A table as HTML.
+    """Format a table as HTML.
 
     Args:
         shown: words, see `tables.shown`.
@@ -261,7 +261,7 @@ def table_as_html(shown: pd.DataFrame, index: bool, hints: Iterable[str] = ()) -
 
 
 def run_dates(folder: Path) -> tuple[str, str]:
-    """First and last time stamp in a study's log; empty without any."""
+    """Return first and last time stamp in a study's log; empty without a log."""
     stamps = []
     with suppress(OSError):
         for line in (
@@ -282,7 +282,7 @@ def png_element(figure: Figure, title: str) -> Markup:
 
 
 def data_url(picture: bytes) -> str:
-    """A PNG picture as a data URL."""
+    """Return the data URL of a PNG picture."""
     return f"data:image/png;base64,{base64.b64encode(picture).decode()}"
 
 

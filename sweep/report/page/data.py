@@ -107,23 +107,23 @@ def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
 
 
 def sample_row_indices(number: int) -> np.ndarray:
-    """Indices of the rows that a page stores: all, or a random sample of too many."""
+    """Return the indices of the rows that a page stores: all, or a random sample if there are too many."""
     return sample_indices(number, SAMPLE_SIZE if number > MAX_ROWS else number)
 
 
 def json_for_script_element(content: Any) -> str:
-    """Format JSON for a script element; no text in it can end the element or begin a comment."""
+    """Format JSON for a script element, so that no text in it can end the element or begin a comment."""
     text = json.dumps(to_json_value(content), separators=(",", ":"), ensure_ascii=True, allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def outcome_kind_indices(rows: pd.DataFrame, kinds: list[dict[str, Any]]) -> np.ndarray:
-    """Index of each row's kind in `kinds`."""
+    """Return the index of each row's outcome kind in `kinds`."""
     return pd.Index([one["key"] for one in kinds]).get_indexer(pd.Index(outcome_kind(rows)))
 
 
 def outcome_kinds_for_page(results: Results) -> list[dict[str, Any]]:
-    """Kinds of outcomes that occur in a study, each with its label, colour and shape on the page."""
+    """Return the outcome kinds that occur in a study, each with its label, colour and shape on the page."""
     counts, system = outcome_kind(results.rows).value_counts(), results.exp.system
     known = [name for name in ("success", *system.causes) if name in counts]
     return [
@@ -141,7 +141,7 @@ def outcome_kinds_for_page(results: Results) -> list[dict[str, Any]]:
 
 
 def encode_column(values: pd.Series, bits: int) -> tuple[dict[str, Any], bytes]:
-    """Encode a column: description of its format, and its bytes.
+    """Encode a column as bytes; return a description of the format, and the bytes.
 
     Few values are listed, others are evenly spaced between two ends.
     """
@@ -185,7 +185,7 @@ def limit_curves(results: Results, rows: pd.DataFrame) -> Any:
 
 
 def refined_cells(results: Results) -> dict[str, Any] | None:
-    """Cells of a map that was refined over two parameters: the rows at the four corners of each."""
+    """Return the cells of a map that was refined over two parameters, by the rows at their four corners."""
     study = results.exp.study
     if not study.resolution:
         return None
@@ -245,7 +245,7 @@ def nominal_number(results: Results, column: str) -> float | None:
 
 
 def cell_effects(results: Results) -> dict[str, float] | None:
-    """Total Sobol indices by column, computed on the cells of a refined map."""
+    """Return the total Sobol indices, computed on the cells of a refined map, by column."""
     if not results.exp.study.resolution:
         return None
     table = refine.total_effects(results.exp, results.rows)
@@ -253,7 +253,7 @@ def cell_effects(results: Results) -> dict[str, float] | None:
 
 
 def count_densities(results: Results, kinds: list[dict[str, Any]]) -> Any:
-    """Yield, for a few pairs of parameters, how many rows of each kind lie in each bin, counted over all rows."""
+    """Yield, for a few pairs of parameters, the number of rows of each outcome kind in each bin."""
     kind = outcome_kind_indices(results.rows, kinds)
     pairs = [(x, y) for k, x in enumerate(results.numeric_columns) for y in results.numeric_columns[k + 1 :]][
         :MAX_DENSITY_PAIRS
@@ -273,7 +273,8 @@ def count_densities(results: Results, kinds: list[dict[str, Any]]) -> Any:
 
 
 def bin_values(values: pd.Series) -> tuple[np.ndarray, int, list[float]]:
-    """Bin of each value, the number of bins, and their outer ends; few evenly spaced values get a bin each."""
+    """Return the bin of each value, the number of bins, and their outer ends; few evenly spaced values get one bin
+    each."""
     levels = np.unique(values)
     low, high = float(levels[0]), float(levels[-1])
     if len(levels) <= DENSITY_BINS and np.allclose(np.diff(levels), (high - low) / (len(levels) - 1)):

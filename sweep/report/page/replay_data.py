@@ -1,4 +1,4 @@
-"""Replays as stored in a page: each robot model once, and the states of each rollout as a line of text."""
+"""Replays as a page stores them: each robot model once, and the states of each rollout as a line of text."""
 
 import json
 from collections.abc import Iterable, Iterator
@@ -29,7 +29,7 @@ class ShownReplay(NamedTuple):
 
 
 class PageReplays(NamedTuple):
-    """The replays that a page embeds: their descriptions, their states as text, and the robot models."""
+    """All replays that a page embeds: descriptions, states as text, and robot models."""
 
     descriptions: list[dict[str, Any]]
     streams: list[str]
@@ -38,7 +38,7 @@ class PageReplays(NamedTuple):
 
 
 def read_shown_replays(results: Results) -> Iterator[ShownReplay]:
-    """Read the replays that the study's folder has."""
+    """Read the replays in the study's folder that the page will embed."""
     return (ShownReplay(place, results.rows.iloc[place], replay) for place, replay in replays.read_replays(results))
 
 

@@ -1,4 +1,4 @@
-"""The page's script and style sheet as one text each, and the policy that allows only these to run."""
+"""The page's script and style sheet as texts, and the content security policy that allows only these two."""
 
 import base64
 import hashlib
@@ -13,7 +13,7 @@ EXPORT_KEYWORD = re.compile(r"^export (?=(?:async )?(?:function\*?|const|class) 
 
 @cache
 def bundle_script() -> str:
-    """Bundle all modules into one script in the order of their imports; names are unique across modules."""
+    """Bundle all JavaScript modules into one script in the order of their imports."""
     sources = {
         file.name: file.read_text(encoding="utf-8")
         for file in files(__package__).iterdir()
@@ -25,12 +25,12 @@ def bundle_script() -> str:
 
 @cache
 def style_sheet() -> str:
-    """The content of the page's style sheet."""
+    """Return the content of the page's style sheet."""
     return (files(__package__) / "style.css").read_text(encoding="utf-8")
 
 
 def content_security_policy(style: str, script: str) -> str:
-    """A content security policy: no network, and only this style and this script.
+    """Return the content security policy of the page: no network, and only the given style and script.
 
     Styles of single elements are allowed, as figures have them, and data URLs of pictures.
     """
@@ -47,5 +47,5 @@ def content_security_policy(style: str, script: str) -> str:
 
 
 def content_security_hash(text: str) -> str:
-    """Hash by which a content security policy allows a script or style."""
+    """Return the hash by which a content security policy allows a script or style."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

@@ -1,4 +1,4 @@
-"""The kinds of study designs: one module each, and those of user modules.
+"""Table of the kinds of study designs, from this package and from user modules.
 
 A module of this package, or a user module, lists its designs as `DESIGNS`, a table of classes by kind.
 """
@@ -19,7 +19,7 @@ MODULE_TABLE = "DESIGNS"  # name of a module's table
 
 
 def add_designs(module: ModuleType) -> None:
-    """Add the designs of a module to the table of kinds.
+    """Add the designs of a module to the table of design kinds.
 
     Args:
         module: A module of this package, or of a user. Its `DESIGNS`, if any, are classes by kind.
@@ -54,7 +54,7 @@ def add_designs(module: ModuleType) -> None:
 
 
 def kind_specific_settings(cls: type[Design]) -> dict[str, "dataclasses.Field[Any]"]:
-    """Return the settings of a kind that not all kinds have, by name."""
+    """Return the settings of a design kind that not all kinds have, by name."""
     common = {member.name for member in dataclasses.fields(Design)}
     return {member.name: member for member in dataclasses.fields(cls) if member.name not in common}
 
@@ -72,23 +72,23 @@ def _check_settings(module: ModuleType, kind: str, cls: type[Design]) -> None:
 
 
 def find_kind(kind: Any) -> type[Design]:
-    """Find the class of a value of `study.design.kind`. Raises `InputError`."""
+    """Return the design class for a value of `study.design.kind`. Raises `InputError`."""
     require_choice(kind, DESIGN_BY_KIND, f"study.design.kind = {kind!r}")
     return DESIGN_BY_KIND[kind]
 
 
 def is_adaptive_kind(kind: Any) -> bool:
-    """Return whether a value of `study.design.kind` names a design that searches for failures."""
+    """Return whether a value of `study.design.kind` names a design that searches for failures adaptively."""
     return issubclass(DESIGN_BY_KIND.get(kind, Design), AdaptiveDesign)
 
 
 def list_kinds(matches: Callable[[type[Design]], bool]) -> list[str]:
-    """List the kinds whose class matches, for messages about what is allowed."""
+    """List the design kinds whose class matches a condition, for error messages."""
     return [kind for kind, cls in DESIGN_BY_KIND.items() if matches(cls)]
 
 
 def kinds_by_setting() -> dict[str, list[str]]:
-    """Return the kinds that have each setting that not all kinds have, by its name."""
+    """Return for each setting that not all design kinds have the kinds that have it."""
     found: dict[str, list[str]] = {}
     for kind, cls in DESIGN_BY_KIND.items():
         for name in kind_specific_settings(cls):

@@ -1,4 +1,4 @@
-"""The protocol of study designs: how axes are drawn, and which statistics the rows of a study allow.
+"""The interface of study designs: how parameters are drawn, and which statistics the rows allow.
 
 A design is a subclass of `Design`, or of `AdaptiveDesign` if it decides about its next points from finished rows. Its
 dataclass fields are settings of its own under `study.design`. All other rooms ask the design of a study, and name none.
@@ -31,7 +31,7 @@ GRIDS = FULL, ONE_AT_A_TIME = "full", "one_at_a_time"  # how listed axes are com
 
 
 class SamplingUnit(NamedTuple):
-    """What a design draws independently of the rest: the rows of one unit count as one observation."""
+    """The independent unit of a design: the rows of one unit count as one observation."""
 
     name: str
     # whether draws of a unit are spread more evenly than independent ones: intervals then follow from the spread
@@ -40,7 +40,7 @@ class SamplingUnit(NamedTuple):
 
     @property
     def plural(self) -> str:
-        """Return the name of several units."""
+        """Return the plural of the unit's name."""
         return f"{self.name[:-1]}ies" if self.name.endswith("y") else f"{self.name}s"
 
 
@@ -48,7 +48,7 @@ DRAW = SamplingUnit("draw")  # with all its replicates and grid points
 
 
 class Sensitivity(StrEnum):
-    """Which sensitivity indices the draws of a design allow."""
+    """Sensitivity indices that can be estimated from the draws of a design."""
 
     GIVEN_DATA = "from any draws that follow the distributions: PAWN, RBD-FAST"
     SOBOL_INDICES = "Sobol indices, from blocks A, A with one column of B for each axis, B"
@@ -57,12 +57,12 @@ class Sensitivity(StrEnum):
 
     @property
     def needs_own_design(self) -> bool:
-        """Whether only draws that were made for these indices allow them."""
+        """Whether the indices need draws of a special design."""
         return self in (Sensitivity.SOBOL_INDICES, Sensitivity.ELEMENTARY_EFFECTS)
 
 
 class TrajectoryGrid(NamedTuple):
-    """Grid of quantiles on which trajectories for elementary effects move."""
+    """Grid of quantiles on which the trajectories of Morris' method move."""
 
     levels: int  # values of an axis
     low: float  # smallest quantile
@@ -70,12 +70,12 @@ class TrajectoryGrid(NamedTuple):
 
     @property
     def step(self) -> float:
-        """Length of a move, as a share of the range."""
+        """Length of a trajectory step, as a share of the range."""
         return self.levels / (2 * (self.levels - 1))
 
 
 class DrawContext(NamedTuple):
-    """What a design receives of its study."""
+    """What a design receives from its study to make draws: seed, names and distributions."""
 
     axes: tuple[str, ...]  # names of the drawn axes
     seed: int  # of all draws
@@ -83,7 +83,7 @@ class DrawContext(NamedTuple):
 
 
 class FailureEstimate(Protocol):
-    """An estimated probability of failure; its text is one line with numbers of rows and advice."""
+    """An estimate of the failure probability; its text is one line with numbers of rows and advice."""
 
     @property
     def probability(self) -> float:
@@ -97,7 +97,7 @@ class FailureEstimate(Protocol):
 
     @property
     def is_reliable(self) -> bool:
-        """Whether the estimate can be trusted; the text says why not."""
+        """Whether the estimate can be trusted; if not, its text says why."""
         ...
 
 
@@ -129,7 +129,7 @@ class Design(ABC):
     correlation: tuple[Any, ...] = ()
 
     def check(self, drawn: Sequence[str], listed: Sequence[str]) -> None:
-        """Raise `InputError` where a setting of the design is not allowed, or does not fit the axes.
+        """Raise `InputError` if a setting of the design is not allowed or does not fit the axes.
 
         Args:
             drawn: Names of the axes with a distribution.
@@ -148,34 +148,34 @@ class Design(ABC):
 
     @property
     def combines_all(self) -> bool:
-        """Whether every combination of listed values is a point, so that the points span a volume."""
+        """Whether every combination of listed values is a point (a full grid)."""
         return self.grid == FULL
 
     @property
     def varies_axes_alone(self) -> bool:
-        """Whether each listed axis varies alone, with the others at their nominal values."""
+        """Whether each listed axis varies alone, with all others at nominal values."""
         return self.grid == ONE_AT_A_TIME
 
     @property
     def warning(self) -> str | None:
-        """A warning where statistics of the design suffer from its settings, or None."""
+        """A warning if the design's settings harm its statistics, or None."""
         return None
 
     @property
     def sampling_unit(self) -> SamplingUnit:
-        """What the design draws independently."""
+        """The unit that the design draws independently, such as a single draw or a trajectory."""
         return DRAW
 
     def block_size(self, d: int) -> int:
-        """Return the number of consecutive draws that depend on each other, with `d` drawn axes."""
+        """Return the number of consecutive draws that depend on each other, for `d` drawn axes."""
         return 1
 
     def count_draws(self, d: int) -> int:
-        """Count the draws with `d` drawn axes; the largest number for adaptive designs."""
+        """Return the number of draws for `d` drawn axes; the maximum for adaptive designs."""
         return self.num * self.block_size(d)
 
     def unit_numbers(self, draws: Int[np.ndarray, " n"], d: int) -> Int[np.ndarray, " n"] | None:
-        """Return the number of the independent unit of each draw.
+        """Return the number of the independent unit to which each draw belongs.
 
         Args:
             draws: Numbers of draws.
@@ -187,7 +187,7 @@ class Design(ABC):
         return draws // self.block_size(d)
 
     def select_rate_draws(self, draws: Int[np.ndarray, " n"], d: int) -> Bool[np.ndarray, " n"]:
-        """Return which draws are a plain sample, whose share of successes is a rate.
+        """Return which draws are a plain random sample, so that their share of successes is a rate.
 
         Args:
             draws: Numbers of draws.
@@ -201,7 +201,7 @@ class Design(ABC):
 
     @abstractmethod
     def sample(self, ctx: DrawContext) -> Float[np.ndarray, "n d"]:
-        """Draw independent uniform numbers from 0 to 1.
+        """Draw uniform numbers from 0 to 1 (quantiles) for all drawn axes.
 
         Args:
             ctx: Axes and seed. Take all randomness from the seed.
@@ -226,7 +226,7 @@ class Design(ABC):
 
 
 class AdaptiveDesign(Design):
-    """A design that searches for failures: each round of draws depends on the rows of earlier rounds."""
+    """Base class of designs that search for failures: each round of draws depends on rows of earlier rounds."""
 
     columns: ClassVar[tuple[str, ...]]  # what it stores of each draw, as `axis.NAME`
     follows_distributions: ClassVar[bool] = False
@@ -234,7 +234,7 @@ class AdaptiveDesign(Design):
     sensitivity: ClassVar[Sensitivity] = Sensitivity.NONE
 
     def check(self, drawn: Sequence[str], listed: Sequence[str]) -> None:
-        """Raise `InputError` where an axis is listed or has the name of a column of the design.
+        """Raise `InputError` if an axis is listed or has the name of one of the design's columns.
 
         Args:
             drawn: Names of the axes with a distribution.
@@ -247,7 +247,7 @@ class AdaptiveDesign(Design):
             raise InputError(f"study.axes.{min(taken)} is not allowed: {self.kind} has a column of that name")
 
     def unit_numbers(self, draws: Int[np.ndarray, " n"], d: int) -> None:
-        """Return None: the draws were placed where earlier ones failed."""
+        """Return None: draws depend on earlier failures, so that none is independent."""
 
     def sample(self, ctx: DrawContext) -> Float[np.ndarray, "n d"]:
         """Return the draws of the first round."""
@@ -255,12 +255,12 @@ class AdaptiveDesign(Design):
 
     @abstractmethod
     def start_search(self, ctx: DrawContext) -> SearchGenerator:
-        """Start the search, a generator of rounds of draws; see `sweep.study.adaptive_sampling`."""
+        """Start the search: a generator that yields rounds of draws and receives their outcomes."""
 
     @property
     @abstractmethod
     def smallest_round(self) -> int:
-        """Number of rollouts of the smallest round, from which the width of batches follows."""
+        """Number of rollouts in the smallest round, which determines the batch width."""
 
     @abstractmethod
     def estimate_failure(self, rows: "pd.DataFrame", ctx: DrawContext) -> FailureEstimate:
@@ -278,7 +278,7 @@ class AdaptiveDesign(Design):
     def weigh_rows(
         self, rows: "pd.DataFrame", ctx: DrawContext
     ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """Return the weight of each row as a plain draw, and as a failure.
+        """Return two weights of each row: as a draw from the nominal distribution, and as a failure.
 
         Args:
             rows: All rows of the study.
@@ -307,7 +307,7 @@ class AdaptiveDesign(Design):
         return summarize_round(rows, draws, DEFAULT_LEAD_COLUMN)
 
     def replay_search(self, rows: "pd.DataFrame", ctx: DrawContext) -> Any:
-        """Run the search again on stored rows, without simulating anything.
+        """Run the search again on stored rows without simulating.
 
         Args:
             rows: Finished rows of the study.

@@ -1,4 +1,4 @@
-"""Importance sampling of failures, see `sweep.study.importance_sampling`."""
+"""Study design: importance sampling of failures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ class Importance(AdaptiveDesign):
     rounds: int = 2  # rounds of `num` draws each, after the first
 
     def check(self, drawn: Sequence[str], listed: Sequence[str]) -> None:
-        """Raise `InputError` where a setting is not allowed, or an axis is.
+        """Raise `InputError` if a setting of importance sampling, or an axis, is not allowed.
 
         Args:
             drawn: Names of the axes with a distribution.
@@ -50,15 +50,15 @@ class Importance(AdaptiveDesign):
 
     @property
     def smallest_round(self) -> int:
-        """Number of rollouts of every round."""
+        """Number of rollouts in each round."""
         return self.num
 
     def count_draws(self, d: int) -> int:
-        """Count the draws of all rounds."""
+        """Return the number of draws in all rounds."""
         return self.num * (self.rounds + 1)
 
     def start_search(self, ctx: DrawContext) -> SearchGenerator:
-        """Start the search, whose result is None."""
+        """Start the search, a generator of rounds of draws."""
         return importance_sampling.start_search(len(ctx.axes), self.num, self.wide, self.rounds, ctx.seed)
 
     def estimate_failure(self, rows: "pd.DataFrame", ctx: DrawContext) -> "WeightedEstimate":
@@ -97,7 +97,8 @@ class Importance(AdaptiveDesign):
         )
 
     def weigh_rows(self, rows: "pd.DataFrame", ctx: DrawContext) -> tuple[np.ndarray, np.ndarray]:
-        """Return the weight of each row as a plain draw (n,), and as a failure (n,): only the last round's count.
+        """Return two weights of each row (n,), as a nominal draw and as a failure; only rows of the last round have
+        weight.
 
         Args:
             rows: All rows of the study.

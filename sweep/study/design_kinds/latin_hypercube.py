@@ -1,4 +1,4 @@
-"""Latin hypercube: one draw in each of `num` equally likely strata of every axis."""
+"""Study design: Latin hypercube, one draw in each of `num` equally likely strata of every axis."""
 
 from typing import ClassVar
 
@@ -22,7 +22,7 @@ class LatinHypercube(Design):
         return qmc.LatinHypercube(len(ctx.axes), rng=np.random.default_rng([ctx.seed])).random(self.num)
 
     def correlate(self, shares: np.ndarray, root: np.ndarray) -> np.ndarray:
-        """Correlate by order alone, so that every stratum keeps its draw (Iman and Conover 1982).
+        """Correlate draws by reordering alone, so that every stratum keeps its draw (Iman and Conover 1982).
 
         Args:
             shares: Quantiles (n, d).

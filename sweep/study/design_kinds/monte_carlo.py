@@ -1,4 +1,4 @@
-"""Independent draws from the distributions of the axes."""
+"""Study design: independent draws from the distributions of the axes."""
 
 from typing import ClassVar
 
@@ -20,14 +20,13 @@ class MonteCarlo(Design):
     can_add_draws: ClassVar[bool] = True
 
     def sample(self, ctx: DrawContext) -> np.ndarray:
-        """Draw from a random stream for each axis."""
+        """Draw independent uniform numbers, from a separate random stream for each axis."""
         rngs = [np.random.default_rng([ctx.seed, int(text_hash(name))]) for name in ctx.axes]
         return np.stack([rng.random(self.num) for rng in rngs], axis=1)
 
 
 def advise_plain_draws(probability: float) -> str:
-    """Return advice to use independent draws where failures are not rare, as the end of an estimate's text; else
-    empty."""
+    """Return advice to use independent draws if failures are not rare; else an empty text."""
     return (
         f"; it is not rare: study.design.kind={MonteCarlo.kind} is as precise" if probability > RARE_PROBABILITY else ""
     )

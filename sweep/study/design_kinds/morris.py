@@ -1,4 +1,4 @@
-"""Morris' design for elementary effects: trajectories that change one axis after the other."""
+"""Study design: Morris' trajectories for elementary effects, which change one axis after the other."""
 
 from typing import ClassVar
 
@@ -8,7 +8,7 @@ from sweep.study.design_kinds.base import Design, DrawContext, SamplingUnit, Sen
 
 
 class Morris(Design):
-    """Trajectories of d + 1 draws, on a grid that leaves out 0 and 1: some distributions are infinite there."""
+    """Morris' trajectories of d + 1 draws, on a grid that leaves out 0 and 1, where some distributions are infinite."""
 
     kind: ClassVar[str] = "morris"
     meaning: ClassVar[str] = "screening of many axes"
@@ -22,11 +22,11 @@ class Morris(Design):
 
     @property
     def sampling_unit(self) -> SamplingUnit:
-        """Return the trajectory as the unit that is drawn independently."""
+        """The trajectory, which is the unit drawn independently."""
         return SamplingUnit("trajectory")
 
     def block_size(self, d: int) -> int:
-        """Return the number of draws of a trajectory: d + 1."""
+        """Return the number of draws in a trajectory: d + 1."""
         return d + 1
 
     def sample(self, ctx: DrawContext) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Saltelli's design for Sobol indices: blocks of d + 2 draws that share the coordinates of two samples, A and B."""
+"""Study design: Saltelli's blocks of d + 2 draws for Sobol indices, which share coordinates of two samples A and B."""
 
 import warnings
 from typing import ClassVar
@@ -23,20 +23,20 @@ class Saltelli(Design):
 
     @property
     def warning(self) -> str | None:
-        """A warning where `num` is not a power of 2."""
+        """A warning if `num` is not a power of 2, or None."""
         return warn_of_unbalanced_draws(self.num)
 
     @property
     def sampling_unit(self) -> SamplingUnit:
-        """Return the block as the unit that is drawn independently."""
+        """The block, which is the unit drawn independently."""
         return SamplingUnit("block")
 
     def block_size(self, d: int) -> int:
-        """Return the number of draws of a block: d + 2."""
+        """Return the number of draws in a block: d + 2."""
         return d + 2
 
     def select_rate_draws(self, draws: np.ndarray, d: int) -> np.ndarray:
-        """Return which draws (n,) are of A, the first ones of their blocks, by the numbers of the draws (n,)."""
+        """Return which draws (n,) belong to sample A (the first of each block) and form a plain sample."""
         return draws % self.block_size(d) == 0
 
     def sample(self, ctx: DrawContext) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Scrambled Sobol sequences: draws that fill space evenly."""
+"""Study design: scrambled Sobol sequences, whose draws fill space evenly."""
 
 import warnings
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ class Sobol(Design):
     scrambles: int = 1  # independent repetitions, which tell its error
 
     def check(self, drawn: Sequence[str], listed: Sequence[str]) -> None:
-        """Raise `InputError` without a scramble.
+        """Raise `InputError` if the number of scrambles is 0.
 
         Args:
             drawn: Names of the axes with a distribution.
@@ -41,19 +41,19 @@ class Sobol(Design):
 
     @property
     def warning(self) -> str | None:
-        """A warning where `num` is not a power of 2."""
+        """A warning if `num` is not a power of 2, or None."""
         return warn_of_unbalanced_draws(self.num)
 
     @property
     def sampling_unit(self) -> SamplingUnit:
-        """Return the scramble as the unit that is drawn independently.
+        """The scramble, which is the unit drawn independently.
 
         One scramble has no spread. Independent draws vary more, so that their interval is safe.
         """
         return SCRAMBLE if self.scrambles > 1 else DRAW
 
     def count_draws(self, d: int) -> int:
-        """Count the draws of all scrambles."""
+        """Return the number of draws in all scrambles."""
         return self.num * self.scrambles
 
     def unit_numbers(self, draws: np.ndarray, d: int) -> np.ndarray:
@@ -77,7 +77,7 @@ class Sobol(Design):
 
 
 def warn_of_unbalanced_draws(num: int) -> str | None:
-    """Return a warning where `num` draws of a Sobol sequence are not balanced, or None."""
+    """Return a warning if `num` draws of a Sobol sequence are not balanced, or None."""
     if num & (num - 1):
         return f"study.design.num = {num} is not a power of 2: estimates from Sobol draws get less precise"
     return None

@@ -1,4 +1,4 @@
-"""Subset simulation of rare failures, see `sweep.study.subset_simulation`."""
+"""Study design: subset simulation of rare failures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -46,11 +46,11 @@ class Subset(AdaptiveDesign):
 
     @property
     def level_settings(self) -> LevelSettings:
-        """Settings of the levels of a run."""
+        """Settings of the levels in a run of subset simulation."""
         return LevelSettings(self.num, self.share, self.target)
 
     def check(self, drawn: Sequence[str], listed: Sequence[str]) -> None:
-        """Raise `InputError` where a setting is not allowed, or an axis is.
+        """Raise `InputError` if a setting of subset simulation, or an axis, is not allowed.
 
         Args:
             drawn: Names of the axes with a distribution.
@@ -76,24 +76,24 @@ class Subset(AdaptiveDesign):
 
     @property
     def sampling_unit(self) -> SamplingUnit:
-        """Return the run of subset simulation as the unit that is drawn independently."""
+        """The run of subset simulation, which is the unit drawn independently."""
         return SamplingUnit("run")
 
     @property
     def smallest_round(self) -> int:
-        """Number of rollouts of a round, one for each chain of all runs."""
+        """Number of rollouts in a round: one for each Markov chain of all runs."""
         return self.runs * self.level_settings.chain_count
 
     def count_draws(self, d: int) -> int:
-        """Count the draws of all runs if each takes all levels."""
+        """Return the number of draws of all runs if each uses all levels."""
         return self.runs * self.level_settings.max_rollouts if self.num else 0
 
     def start_search(self, ctx: DrawContext) -> SearchGenerator:
-        """Start the search, whose result is a list of `RunResult`."""
+        """Start the search, a generator of rounds of draws."""
         return subset_simulation.start_search(len(ctx.axes), self.level_settings, self.runs, ctx.seed)
 
     def summarize(self, rows: "pd.DataFrame", draws: RoundDraws) -> RoundSummary:
-        """Summarize the rows of a round by the column or expression `lead`.
+        """Summarize a round's rows by failures and values of the column or expression `lead`.
 
         Args:
             rows: Finished rows of the study, including those of the round.
@@ -102,7 +102,7 @@ class Subset(AdaptiveDesign):
         return summarize_round(rows, draws, self.lead)
 
     def estimate_failure(self, rows: "pd.DataFrame", ctx: DrawContext) -> "SubsetEstimate":
-        """Estimate the probability of failure by the mean of the runs.
+        """Estimate the probability of failure as the mean over independent runs.
 
         Args:
             rows: All rows of the study.
@@ -117,7 +117,7 @@ class Subset(AdaptiveDesign):
         return SubsetEstimate(self.target, tuple(runs))
 
     def weigh_rows(self, rows: "pd.DataFrame", ctx: DrawContext) -> tuple[np.ndarray, np.ndarray]:
-        """Return the weight of each row as a plain draw (n,), 1 in the first level; and as a failure (n,).
+        """Return two weights of each row (n,), as a nominal draw (1 in the first level) and as a failure.
 
         Args:
             rows: All rows of the study.
@@ -156,7 +156,7 @@ class SubsetEstimate:
 
     @property
     def stuck_runs(self) -> tuple[SubsetRunResult, ...]:
-        """The runs that stopped before they reached the failure region."""
+        """Runs of subset simulation that stopped before they reached the failure region."""
         return tuple(run for run in self.runs if run.end_reason)
 
     @property
