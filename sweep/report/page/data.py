@@ -214,7 +214,7 @@ def alone_curves(results: Results) -> Iterator[dict[str, Any]]:
     only a sample of rows, or whose results decide where rollouts are placed, has no such parameters.
     """
     rows = results.rows.reset_index(drop=True)
-    if results.exp.study.is_sequential or len(sample_places(len(rows))) < len(rows):
+    if results.exp.study.is_sequential or len(sample_row_indices(len(rows))) < len(rows):
         return
     if results.is_one_at_a_time:
         found = [
