@@ -76,7 +76,7 @@ def test_a_page_reads_the_metrics_that_it_may_show(read, monkeypatch, tmp_path):
 
 def test_an_axis_that_changes_bookkeeping_alone_has_an_effect(tmp_path):
     folder = shutil.copytree(FOLDER, tmp_path / "out")
-    parts = store.current_parts(folder)
+    parts = store.list_current_parts(folder)
     rows = pd.concat([store.read_part(folder, part) for part in parts])
     labels = ["outcome", "cause", "stage", "t_cause_s", "limit", "margin", "margin_of"]
     constant = [name for name in (*metric_columns(rows), *labels) if name != "end_stage"]
