@@ -17,8 +17,10 @@ from sweep.systems.mujoco_model import build_nominal, kernel_engine
 from sweep.systems.mujoco_model.kernel import agreement, guard
 from sweep.systems.mujoco_model.kernel.layout import find_layout
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
+from sweep.systems.mujoco_model.kernel.scalars import stack_values
+from sweep.systems.mujoco_model.kernel.sensors import compute_sensors, find_unsupported_sensors
 from sweep.systems.mujoco_model.kernel.smooth import compute_smooth
-from sweep.systems.mujoco_model.kernel.step import read_state
+from sweep.systems.mujoco_model.kernel.step import read_state, solve_forward
 from sweep.systems.mujoco_model.model_spec import SideValues
 
 TEMPLATE = Path(sweep.__file__).parent / "cli" / "template_model"
@@ -33,7 +35,9 @@ BALL, BAR_SHAPE = (
     'type="capsule" size="0.02" fromto="-.05 0 -.2 0.09 0 -.2"',
 )
 ROLL = f'<geom {{}} mass="0.1" condim="6" friction="0.8 0.05 0.02" {TOUCHES}/>'
+EYE = '<site name="eye" pos="0.02 0 -0.1" euler="20 30 40"/>'
 BAR = f'<geom type="capsule" size="0.02" fromto="-.05 0 -.2 0.09 0 -.2" mass="0.1" condim="1" {TOUCHES}/>'
+PAIRED = '<geom name="tip_{}" type="sphere" size="0.03" pos="0 0 -0.2" mass="0.1" contype="0" conaffinity="0"/>'
 SLIDE = (
     '<body pos="0 0 -.2"><joint type="slide" axis="0 0.1 1" range="-.05 .05" stiffness="300" springref="0.01"/>'
     f'<geom type="sphere" size=".03" mass=".2" {TOUCHES} solmix="2" solref="-2000 -60"/></body>'
@@ -93,6 +97,17 @@ MODELS = {
     "six sliding feet, explicit damping": robot(
         limbs(LEG[:2], SLIDE, "abcdef"), '><flag eulerdamp="disable" refsafe="disable"/></option><option'
     ),
+    "damping, armature and friction of the free joint": robot(
+        limbs(LEG, FOOT, "ab"), base='<joint type="free" damping="2" armature="0.3" frictionloss="1.5"/>'
+    ),
+    "explicit contact pairs": robot(
+        limbs(LEG, PAIRED.format("a"), "a") + limbs(LEG, PAIRED.format("b"), "b"), 'integrator="implicitfast"'
+    ).replace(
+        "</mujoco>",
+        '<contact><pair geom1="tip_a" geom2="floor" condim="4" friction="0.9 0.4 0.03 0 0" solref="0.015 0.9"/>'
+        '<pair geom1="floor" geom2="tip_b" condim="4" margin="0.003" solimp="0.8 0.97 0.003 0.4 3"/>'
+        '<pair geom1="tip_a" geom2="tip_b"/></contact></mujoco>',
+    ),
     "fixed base, frictionless bars": robot(limbs(LEG, BAR), base="", plane='condim="1"'),
 }
 
@@ -114,6 +129,35 @@ def test_accelerations_equal_those_of_c_mujoco(name):
     found = agreement.compare_accelerations(find_layout(model), model, 0 if model.nkey else -1, 48)
     assert found.in_contact > 40
     assert found.largest < 1e-11  # 1e-9 is allowed in studies; measured: 3e-13
+
+
+SENSORS = (
+    '<sensor><framequat objtype="body" objname="{0}"/><framequat objtype="site" objname="eye"/>'
+    '<accelerometer site="eye"/><velocimeter site="eye"/><gyro site="eye"/><framexaxis objtype="site" objname="eye"/>'
+    '<framepos objtype="xbody" objname="{0}"/><frameangvel objtype="body" objname="{0}"/>'
+    '<jointactuatorfrc joint="a1"/><jointactuatorfrc joint="b0"/><jointpos joint="a2"/><jointvel joint="b1"/></sensor>'
+)
+
+
+@pytest.mark.parametrize("base", ["<freejoint/>", ""])
+def test_sensors_equal_those_of_c_mujoco(base):
+    """On a shank that is turned against its thigh, of a free and of a fixed base."""
+    text = robot(limbs(LEG, FOOT + EYE, "ab").replace("eye", "other", 1), joint='actuatorfrcrange="-20 20"', base=base)
+    text = text.replace('euler="10 20 0"', 'name="shank" euler="10 20 0"', 1)
+    model = mujoco.MjModel.from_xml_string(text.replace("</mujoco>", SENSORS.format("shank") + "</mujoco>"))
+    layout, drawn = find_layout(model), agreement.draw_states(model, -1, 24)
+    assert not find_unsupported_sensors(layout, model)
+
+    def read(qpos, qvel, ctrl):
+        state, numbers = read_state(layout, model, qpos, qvel, qvel), ModelNumbers(model, {}, {})
+        result, _ = solve_forward(layout, numbers, state, ctrl, (), 60)
+        return stack_values(compute_sensors(layout, numbers, state, result), qpos.dtype)
+
+    with jax.enable_x64(True):
+        rows = [np.stack([getattr(one, name) for one in drawn]) for name in ("qpos", "qvel", "ctrl")]
+        shapes = [jax.ShapeDtypeStruct(one.shape[1:], np.float64) for one in rows]
+        found = np.asarray(eager.trace(read, *shapes)(len(drawn), *rows))
+    np.testing.assert_allclose(found, np.stack([one.sensordata for one in drawn]), rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize(

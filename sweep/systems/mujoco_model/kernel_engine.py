@@ -52,7 +52,10 @@ from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
 from sweep.systems.mujoco_model.policy import ControllerBatch
 
 LEAST_ITERATIONS = 30  # of Newton's method, at most: models for MJX often have one, which solves no step
-FORCED = {int(getattr(mujoco.mjtSensor, f"mjSENS_{name}")) for name in ("TOUCH", "ACCELEROMETER", "ACTUATORFRC")}
+FORCED = {
+    int(getattr(mujoco.mjtSensor, f"mjSENS_{name}"))
+    for name in ("TOUCH", "ACCELEROMETER", "ACTUATORFRC", "JOINTACTFRC")
+}
 
 
 Rows = Any  # an array of one rollout, or of a batch with a leading axis

@@ -81,10 +81,13 @@ def _lower(model: mujoco.MjModel, data: mujoco.MjData, planes: list[int], at: in
     mujoco.mj_kinematics(model, data)
     normal = data.geom_xmat[planes[0]].reshape(3, 3)[:, 2]
     start = data.geom_xpos[planes[0]]
-    margin = model.geom_margin.copy()
-    model.geom_margin[:] = 10.0  # all points that may touch are contacts
+    margins = model.geom_margin, model.pair_margin
+    before = [one.copy() for one in margins]
+    for one in margins:
+        one[:] = 10.0  # all points that may touch are contacts
     mujoco.mj_fwdPosition(model, data)
-    model.geom_margin[:] = margin
+    for one, values in zip(margins, before, strict=True):
+        one[:] = values
     near = [float(c.dist) for c in data.contact[: data.ncon] if planes[0] in (c.geom1, c.geom2)]
     distance = min(near) if near else float(normal @ (data.qpos[at : at + 3] - start))
     data.qpos[at : at + 3] -= (distance + depth) * normal

@@ -9,8 +9,15 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from sweep.systems.mujoco_model.geom_pairs import may_touch
-from sweep.systems.mujoco_model.kernel.layout import BOX, CAPSULE, CollisionPlane, RobotLayout, unsupported_model_error
+from sweep.systems.mujoco_model.kernel.layout import (
+    BOX,
+    CAPSULE,
+    CollisionPlane,
+    RobotLayout,
+    find_pair_ids,
+    touches_plane,
+    unsupported_model_error,
+)
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers, raise_to_power
 from sweep.systems.mujoco_model.kernel.scalars import (
     NO_MATRIX,
@@ -24,12 +31,13 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     clip,
     known_vector,
     largest,
+    quaternion_axes,
     rotate,
     smallest,
     square_root,
     where,
 )
-from sweep.systems.mujoco_model.kernel.smooth import RobotState, SmoothTerms, SpatialVector, wrench_at
+from sweep.systems.mujoco_model.kernel.smooth import BASE, UPRIGHT, RobotState, SmoothTerms, SpatialVector, wrench_at
 
 TINY = 1e-15  # below which MuJoCo takes a number for 0
 LEAST_FRICTION = 1e-5  # MuJoCo's mjMINMU
@@ -77,13 +85,17 @@ class PlaneContacts(NamedTuple):
 
 
 class JointRow(NamedTuple):
-    """Constraint on the acceleration of one joint of each limb: a limit of its range, or its friction."""
+    """Constraint on the acceleration of one joint of each limb: a limit of its range, or its friction.
+
+    Or on that of the base in one direction: the friction of the free joint.
+    """
 
     joint: tuple[int, int]
     side: Scalar  # of the joint's acceleration in the row
     weight: Scalar
     wanted: Scalar
     most: Scalar | None  # N m or N, of friction; None for a limit
+    direction: SpatialVector | None = None  # of the base; None for a joint's row
 
 
 class Constraints(NamedTuple):
@@ -100,7 +112,7 @@ def find_candidate_points(layout: RobotLayout, numbers: ModelNumbers, plane: int
     for s, stack in enumerate(layout.stacks):
         singles: list[CandidatePoint] = []
         for geoms in stack.geoms:
-            if not all(may_touch(model, int(g), plane) for g in geoms):
+            if not all(touches_plane(model, int(g), plane) for g in geoms):
                 continue
             place = numbers.vector("geom_pos", geoms)
             columns = numbers.rotation("geom_quat", geoms)
@@ -213,16 +225,9 @@ def _contact(
     motion: SpatialVector,
 ) -> PlaneContacts:
     """A row of contacts from distances (m), places and the motion of the bodies."""
-    model, geoms, ground = numbers.model, point.geoms, np.array([plane])
-    dims = np.maximum(model.geom_condim[geoms], model.geom_condim[plane])
-    first, second = (model.geom_priority[one] for one in (geoms, ground))
-    wins = np.where(first > second, 1, np.where(first < second, -1, 0))
-    if len(set(wins.tolist())) > 1 or len(set(dims.tolist())) > 1:
-        raise unsupported_model_error("limbs whose contacts differ in priority or dimension")
-    dim = int({0: dims[0], 1: model.geom_condim[geoms[0]], -1: model.geom_condim[plane]}[int(wins[0])])
-    law, frictions = _mix(numbers, geoms, ground, int(wins[0]))
-    friction = frictions[0]
-    margin = _sum_margins(numbers, geoms, ground)
+    model = numbers.model
+    law, frictions, margin = _find_law(numbers, point.geoms, plane)
+    dim, friction = len(frictions) + 1, frictions[0] if frictions else ZERO
     inverse = numbers.get("body_invweight0", point.bodies, 0) + numbers.get("body_invweight0", np.array([0]), 0)
     impratio = numbers.get("opt.impratio")
     is_elliptic = model.opt.cone == ELLIPTIC
@@ -236,8 +241,33 @@ def _contact(
     wanted = -(speed[0] * law.damping) - law.stiffness * impedance * (distance - margin)
     others = tuple(-(one * law.damping) for one in speed[1:])
     regular = friction / square_root(impratio)
-    chosen = tuple(frictions[k] for k in FRICTION_OF_DIMENSION[: dim - 1])
-    return PlaneContacts(point, at, frame, chosen, regular, weight, (wanted, *others))
+    return PlaneContacts(point, at, frame, tuple(frictions), regular, weight, (wanted, *others))
+
+
+def _find_law(numbers: ModelNumbers, geoms: np.ndarray, plane: int) -> tuple[ConstraintLaw, list[Scalar], Scalar]:
+    """Law of the contacts of geoms with a plane, friction of each dimension after the first, and margin (m)."""
+    model, ground = numbers.model, np.array([plane])
+    pairs, winner = find_pair_ids(model, geoms, plane), 0
+    if pairs is not None:
+        dims = model.pair_dim[pairs]
+    else:
+        dims = np.maximum(model.geom_condim[geoms], model.geom_condim[plane])
+        first, second = (model.geom_priority[one] for one in (geoms, ground))
+        wins = np.where(first > second, 1, np.where(first < second, -1, 0))
+        if len(set(wins.tolist())) > 1:
+            raise unsupported_model_error("limbs whose contacts differ in priority")
+        winner = int(wins[0])
+        dims = {0: dims, 1: model.geom_condim[geoms], -1: model.geom_condim[ground]}[winner]
+    if len(set(dims.tolist())) > 1:
+        raise unsupported_model_error("limbs whose contacts differ in dimension")
+    chosen = FRICTION_OF_DIMENSION[: int(dims[0]) - 1]
+    if pairs is not None:
+        reference = [numbers.get("pair_solref", pairs, k) for k in range(2)]
+        law = make_constraint_law(numbers, reference, [numbers.get("pair_solimp", pairs, k) for k in range(5)])
+        friction = [largest(numbers.get("pair_friction", pairs, k), LEAST_FRICTION) for k in range(len(chosen))]
+        return law, friction, numbers.get("pair_margin", pairs)
+    law, friction = _mix(numbers, geoms, ground, winner)
+    return law, [friction[k] for k in chosen], _sum_margins(numbers, geoms, ground)
 
 
 def contact_components(frame: Any, linear: Vector, angular: Vector, dim: int) -> tuple[Scalar, ...]:
@@ -324,17 +354,12 @@ def compute_impedance(law: ConstraintLaw, depth: Scalar) -> Scalar:
 
 def find_joint_rows(layout: RobotLayout, numbers: ModelNumbers, state: RobotState) -> list[JointRow]:
     """Find limits and friction of all joints that have them."""
-    model, found = numbers.model, []
+    model, found = numbers.model, _find_base_friction(layout, numbers, state)
     for joint in layout.joints:
         ids = layout.stacks[joint[0]].joints[joint[1]]
         dofs, rate = model.jnt_dofadr[ids], state.rates[joint]
         if numbers.is_used("dof_frictionloss", dofs):
-            law = _joint_law(numbers, "dof", dofs)
-            least = law.impedance[0]
-            inverse = numbers.get("dof_invweight0", dofs)
-            weight = least / (inverse * (1 - least))
-            most = numbers.get("dof_frictionloss", dofs)
-            found.append(JointRow(joint, ONE, weight, -(rate * law.damping), most))
+            found.append(_friction_row(numbers, joint, dofs, rate))
         limited = model.jnt_limited[ids].astype(bool)
         if limited.any():
             low, high = (numbers.get("jnt_range", ids, k) for k in range(2))
@@ -351,6 +376,33 @@ def find_joint_rows(layout: RobotLayout, numbers: ModelNumbers, state: RobotStat
             weight = where(depth < margin, impedance / (inverse * (1 - impedance)), ZERO)
             wanted = -(side * rate) * law.damping - law.stiffness * impedance * (depth - margin)
             found.append(JointRow(joint, side, weight, wanted, None))
+    return found
+
+
+def _friction_row(
+    numbers: ModelNumbers,
+    joint: tuple[int, int],
+    dofs: np.ndarray,
+    rate: Scalar,
+    direction: SpatialVector | None = None,
+) -> JointRow:
+    """Friction of degrees of freedom (n,) that move at a rate."""
+    law = _joint_law(numbers, "dof", dofs)
+    least = law.impedance[0]
+    weight = least / (numbers.get("dof_invweight0", dofs) * (1 - least))
+    most = numbers.get("dof_frictionloss", dofs)
+    return JointRow(joint, ONE, weight, -(rate * law.damping), most, direction)
+
+
+def _find_base_friction(layout: RobotLayout, numbers: ModelNumbers, state: RobotState) -> list[JointRow]:
+    """Friction of the free joint: along the world's axes, and about the base's."""
+    dofs = layout.free_dofs(numbers.model)
+    if not len(dofs) or not numbers.is_used("dof_frictionloss", dofs):
+        return []
+    found = []
+    for k, axis in enumerate((*UPRIGHT, *quaternion_axes(*state.quat))):
+        direction = SpatialVector(axis, NOTHING) if k < len(UPRIGHT) else SpatialVector(NOTHING, axis)
+        found.append(_friction_row(numbers, BASE, dofs[k : k + 1], direction.dot(state.velocity), direction))
     return found
 
 
@@ -535,7 +587,7 @@ class ContactLine(NamedTuple):
         return first, where(sticks, bend, where(is_open, ZERO, slides))
 
 
-def contact_cost_derivatives(
+def contact_cost_line(
     contact: PlaneContacts, residual: tuple[Scalar, ...], change: tuple[Scalar, ...], is_elliptic: bool
 ) -> ContactLine:
     """Return the cost of a row of contacts along a change of its residual."""

@@ -57,7 +57,8 @@ class EnclosingHull(NamedTuple):
 
 def find_unsimulated_pairs(model: mujoco.MjModel) -> list[tuple[int, int]]:
     """Return the pairs of geoms that may touch and that the kernel does not simulate."""
-    kinds = model.geom_type[pairs := find_geom_pairs(model)]
+    explicit = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
+    kinds = model.geom_type[pairs := np.concatenate([find_geom_pairs(model), explicit])]
     is_simulated = (kinds == PLANE).any(axis=1) & np.isin(kinds, SHAPES).any(axis=1)
     return [(int(a), int(b)) for a, b in pairs[~is_simulated]]
 

@@ -39,6 +39,7 @@ ALLOWED_FLAGS = (  # the last ones change nothing of what the kernel simulates, 
     Disabled.mjDSBL_ISLAND,
     Disabled.mjDSBL_WARMSTART,
 )
+FREE_JOINT_FIELDS = ("dof_frictionloss", "dof_damping", "dof_armature")
 FEW = 2  # bodies of a stack, at least
 
 
@@ -71,6 +72,12 @@ class RobotLayout(NamedTuple):
     group: int  # bodies of a stack
     has_free_base: bool
     planes: tuple[CollisionPlane, ...]
+
+    def free_dofs(self, model: mujoco.MjModel) -> np.ndarray:
+        """Return the degrees of freedom (6,) of the free joint, (0,) for a fixed base: linear ones, then angular."""
+        if not self.has_free_base:
+            return np.zeros(0, int)
+        return int(model.body_dofadr[self.stacks[0].bodies[0]]) + np.arange(6)
 
     @property
     def joints(self) -> list[tuple[int, int]]:
@@ -108,7 +115,7 @@ def find_layout(model: mujoco.MjModel) -> RobotLayout:
     def touching(body: int) -> list[int]:
         mine = [g for g in range(model.ngeom) if model.geom_bodyid[g] == body and model.body_weldid[body]]
         shaped = [g for g in mine if model.geom_type[g] in SHAPES]  # `guard` watches the others
-        return [g for g in shaped if any(may_touch(model, g, plane.geom) for plane in planes)]
+        return [g for g in shaped if any(touches_plane(model, g, plane.geom) for plane in planes)]
 
     def own_joints(body: int) -> list[int]:
         first = model.body_jntadr[body]
@@ -176,8 +183,37 @@ def find_planes(model: mujoco.MjModel) -> tuple[CollisionPlane, ...]:
     normals = data.geom_xmat.reshape(-1, 3, 3)[:, :, 2]
     normals[np.abs(normals) < 1e-15] = 0  # so that constants fold
     collides = (model.geom_contype | model.geom_conaffinity) != 0
+    collides |= np.isin(np.arange(model.ngeom), [model.pair_geom1, model.pair_geom2])
     found = np.flatnonzero((model.geom_type == PLANE) & collides)
     return tuple(CollisionPlane(int(g), data.geom_xpos[g].copy(), normals[g].copy()) for g in found)
+
+
+def find_pair_ids(model: mujoco.MjModel, geoms: np.ndarray, plane: int) -> np.ndarray | None:
+    """Return the explicit contact pairs of like geoms with a plane.
+
+    Args:
+        model: The model.
+        geoms: Ids (n,) of the geoms.
+        plane: Id of the plane.
+
+    Returns:
+        Ids (n,) of the pairs; None where there are none.
+
+    Raises:
+        InputError: Some of the geoms have a pair, and others have none.
+    """
+    table = {frozenset(both): k for k, both in enumerate(zip(model.pair_geom1, model.pair_geom2, strict=True))}
+    found = [table.get(frozenset((int(geom), plane)), -1) for geom in geoms]
+    if max(found) < 0:
+        return None
+    if min(found) < 0:
+        raise unsupported_model_error("limbs of which some, but not all, have explicit contact pairs")
+    return np.array(found)
+
+
+def touches_plane(model: mujoco.MjModel, geom: int, plane: int) -> bool:
+    """Return whether a geom and a plane may touch, by type or by an explicit pair."""
+    return bool(may_touch(model, geom, plane)) or find_pair_ids(model, np.array([geom]), plane) is not None
 
 
 def joint_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
@@ -203,7 +239,13 @@ def require_supported_features(model: mujoco.MjModel) -> None:
     integrators = [int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)]
     moving = model.body_weldid[model.geom_bodyid] != 0
     things = [g for g in range(model.ngeom) if not moving[g] and model.geom_type[g] != PLANE]
-    static = [g for g in things if any(may_touch(model, g, int(other)) for other in np.flatnonzero(moving))]
+    static = [
+        g
+        for g in things
+        if any(may_touch(model, g, int(other)) for other in np.flatnonzero(moving))
+        or g in model.pair_geom1
+        or g in model.pair_geom2
+    ]
     disabled = int(opt.disableflags) & ~sum(int(one) for one in ALLOWED_FLAGS)
     other = [name for name in UNKNOWN_FIELDS if np.any(getattr(model, name, 0))]
     wrong = {
@@ -214,14 +256,13 @@ def require_supported_features(model: mujoco.MjModel) -> None:
         "plugins": model.nplugin,
         "flexible bodies": model.nflex,
         "mocap bodies": model.nmocap,
-        "explicit contact pairs": model.npair,
-        "height fields": model.nhfield,
+        "solreffriction of explicit contact pairs": model.pair_solreffriction.any(),
         "actuators that drive no joint": not on_joint.all(),
         "actuators of the free joint": (driven < SLIDE).any(),
         "actuators with activation": model.na,
         "gains or biases of actuators that are not affine": not (gains.all() and biases.all()),
-        "friction, damping or armature of the free joint": any(
-            np.any(getattr(model, name)[of_base]) for name in ("dof_frictionloss", "dof_damping", "dof_armature")
+        "friction, damping or armature that differ among the directions of the free joint": any(
+            np.ptp(getattr(model, name)[of_base]) > 0 for name in FREE_JOINT_FIELDS if len(free)
         ),
         "fluid forces": opt.density or opt.viscosity or np.any(opt.wind),
         "gravity compensation": model.body_gravcomp.any(),

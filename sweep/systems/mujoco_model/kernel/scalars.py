@@ -311,6 +311,12 @@ def multiply_quaternions(a: tuple[Scalar, ...], b: tuple[Scalar, ...]) -> tuple[
     )
 
 
+def rotation_quaternion(axis: Vector, angle: Scalar) -> tuple[Scalar, ...]:
+    """Return the quaternion (w, x, y, z) of a rotation by an angle (rad) about a unit vector."""
+    half = angle.value * 0.5
+    return Scalar(jnp.cos(half)), *(axis * Scalar(jnp.sin(half)))
+
+
 def stack_values(numbers: list[Scalar], dtype: Any) -> Array:
     """Join numbers of single bodies to an array (k,)."""
     return jnp.stack([jnp.asarray(one.value, dtype) for one in numbers])

@@ -7,7 +7,14 @@ import mujoco
 import numpy as np
 
 from sweep.systems.mujoco_model.kernel.constraints import contact_force
-from sweep.systems.mujoco_model.kernel.layout import BOX, SPHERE, RobotLayout, find_stack, unsupported_model_error
+from sweep.systems.mujoco_model.kernel.layout import (
+    BOX,
+    HINGE,
+    SPHERE,
+    RobotLayout,
+    find_stack,
+    unsupported_model_error,
+)
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
 from sweep.systems.mujoco_model.kernel.scalars import (
     NOTHING,
@@ -15,10 +22,12 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     Axes,
     Scalar,
     Vector,
+    clip,
     largest,
     multiply_quaternions,
     rotate,
     rotate_back,
+    rotation_quaternion,
     smallest,
     square_root,
     where,
@@ -47,7 +56,7 @@ class Frame:
         self, layout: RobotLayout, numbers: ModelNumbers, state: RobotState, result: StepResult, kind: int, number: int
     ):
         model, ids = numbers.model, np.array([number])
-        self._state, self._result = state, result
+        self._numbers, self._state, self._result = numbers, state, result
         names = {SITE: "site", GEOM: "geom"}
         body = int(number if kind in (BODY, XBODY) else getattr(model, f"{names[kind]}_bodyid")[number])
         self._stack, self._member = find_stack(layout, body)
@@ -86,9 +95,22 @@ class Frame:
 
     @property
     def quat(self) -> tuple[Scalar, ...]:
-        """Orientation, which is computed for frames of the base alone."""
-        own = tuple(Scalar(float(x)) for x in self.own_quat)
-        return multiply_quaternions(self._state.quat, own)
+        """Orientation in the world, as a unit quaternion (w, x, y, z)."""
+        numbers, found, joints = self._numbers, tuple(self._state.quat), self._state.angles
+        for s in self._layout.ancestors(self._stack):
+            stack = self._layout.stacks[s]
+            member = self._member if stack.n > 1 else 0
+            if stack.parent >= 0:
+                ids = stack.bodies[member : member + 1]
+                found = multiply_quaternions(found, tuple(numbers.get("body_quat", ids, k) for k in range(4)))
+            for k, same in enumerate(stack.joints):
+                ids = same[member : member + 1]
+                if numbers.model.jnt_type[ids[0]] != HINGE:
+                    continue
+                start = numbers.get("qpos0", numbers.model.jnt_qposadr[ids])
+                turn = rotation_quaternion(numbers.vector("jnt_axis", ids), joints[s, k].member(member) - start)
+                found = multiply_quaternions(found, turn)
+        return multiply_quaternions(found, tuple(Scalar(float(x)) for x in self.own_quat))
 
 
 def compute_sensors(
@@ -147,8 +169,6 @@ def _why_unknown(layout: RobotLayout, model: mujoco.MjModel, k: int) -> str:
         stacks = [s for s, stack in enumerate(layout.stacks) if body in stack.bodies]
         if not stacks or not body:
             return f"{name} of what does not move"
-        if kind == int(Sensor.mjSENS_FRAMEQUAT) and stacks[0]:
-            return f"{name} of a body other than the base"
     if kind == int(Sensor.mjSENS_TOUCH) and int(model.site_type[model.sensor_objid[k]]) not in (SPHERE, BOX):
         return f"{name} of a site that is neither sphere nor box"
     return ""
@@ -173,6 +193,21 @@ def _joint(read: Callable[[RobotState, tuple[int, int]], Scalar]) -> Callable[..
         raise unsupported_model_error("sensors of the free joint")
 
     return rule
+
+
+def _actuator_force(
+    layout: RobotLayout, numbers: ModelNumbers, state: RobotState, result: StepResult, k: int
+) -> list[Scalar]:
+    """Force of all actuators on a joint, within the joint's range."""
+    model, joint = numbers.model, np.array([int(numbers.model.sensor_objid[k])])
+    total = ZERO
+    for drive in result.drives:
+        for place in np.flatnonzero(model.actuator_trnid[drive.actuators, 0] == joint[0]):
+            gear = numbers.get("actuator_gear", drive.actuators[place : place + 1], 0)
+            total = total + gear * drive.force.member(int(place))
+    if model.jnt_actfrclimited[joint[0]]:
+        total = clip(total, *(numbers.get("jnt_actfrcrange", joint, side) for side in range(2)))
+    return [total]
 
 
 def _actuator(read: Callable[[Any], Scalar]) -> Callable[..., list[Scalar]]:
@@ -242,6 +277,7 @@ RULES: dict[int, Callable[..., Any]] = {
     int(Sensor.mjSENS_TOUCH): _touch,
     int(Sensor.mjSENS_JOINTPOS): _joint(lambda state, joint: state.angles[joint]),
     int(Sensor.mjSENS_JOINTVEL): _joint(lambda state, joint: state.rates[joint]),
+    int(Sensor.mjSENS_JOINTACTFRC): _actuator_force,
     int(Sensor.mjSENS_ACTUATORPOS): _actuator(lambda drive: drive.length),
     int(Sensor.mjSENS_ACTUATORVEL): _actuator(lambda drive: drive.velocity),
     int(Sensor.mjSENS_ACTUATORFRC): _actuator(lambda drive: drive.force),

@@ -23,6 +23,7 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     rotate_about,
 )
 
+BASE = (0, -1)  # stands for the free joint where others have the index of a stack and a number in it
 UPRIGHT: Axes = (Vector(ONE, ZERO, ZERO), Vector(ZERO, ONE, ZERO), Vector(ZERO, ZERO, ONE))
 
 
@@ -107,7 +108,7 @@ class SmoothTerms(NamedTuple):
 
     places: tuple[BodyPose, ...]  # by stack
     motions: dict[tuple[int, int], SpatialVector]  # of each joint per unit of its rate
-    whole: RigidInertia
+    whole: RigidInertia  # of the robot, with the armature of the free joint
     momenta: dict[tuple[int, int], SpatialVector]  # of all that a joint moves, per unit of its rate
     mass: dict[tuple[tuple[int, int], tuple[int, int]], Scalar]  # of joints, (inner, outer), with armature
     bias_base: SpatialVector  # force that keeps all accelerations 0
@@ -194,7 +195,12 @@ def compute_smooth(layout: RobotLayout, numbers: ModelNumbers, state: RobotState
             up = layout.stacks[stack.parent].n == 1 and stack.n > 1
             forces[stack.parent] += forces[s].total(stack.n) if up else forces[s]
             inertias[stack.parent] += inertias[s].total(stack.n) if up else inertias[s]
-    return SmoothTerms(tuple(places), motions, inertias[0], momenta, mass_matrix, forces[0], bias)
+    whole = inertias[0]
+    dofs = layout.free_dofs(numbers.model)
+    if len(dofs) and numbers.is_used("dof_armature", dofs):
+        armature = numbers.get("dof_armature", dofs[:1])
+        whole = whole + RigidInertia(armature, NOTHING, isotropic(armature))
+    return SmoothTerms(tuple(places), motions, whole, momenta, mass_matrix, forces[0], bias)
 
 
 def inner_joints(layout: RobotLayout, joint: tuple[int, int]) -> list[tuple[int, int]]:

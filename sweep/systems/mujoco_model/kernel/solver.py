@@ -4,6 +4,7 @@ The matrix has the form of the robot's tree: a joint meets those between it and 
 from the tips inward, so that nothing is filled in; the base's 6x6 block is last.
 """
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ from sweep.systems.mujoco_model.kernel.constraints import (
     Constraints,
     Curve,
     contact_components,
-    contact_cost_derivatives,
+    contact_cost_line,
     contact_curve,
     contact_force,
     contact_wrench,
@@ -33,7 +34,7 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     square_root,
     where,
 )
-from sweep.systems.mujoco_model.kernel.smooth import STILL, SmoothTerms, SpatialVector, inner_joints
+from sweep.systems.mujoco_model.kernel.smooth import BASE, STILL, SmoothTerms, SpatialVector, inner_joints
 
 Joint = tuple[int, int]
 TRIALS = 20  # of a search for a step's length, at most; mostly one or two are enough
@@ -143,7 +144,10 @@ class StepProblem(NamedTuple):
             if wanted:
                 given = tuple(x - y for x, y in zip(given, one.wanted, strict=True))
             contacts.append(given)
-        rows = [row.side * a.joints[row.joint] - (row.wanted if wanted else ZERO) for row in self.constraints.rows]
+        rows = []
+        for row in self.constraints.rows:
+            along = row.side * a.joints[row.joint] if row.direction is None else row.direction.dot(a.base)
+            rows.append(along - row.wanted if wanted else along)
         return Residuals(tuple(contacts), tuple(rows))
 
     def constraint_force(self, residuals: Residuals) -> Acceleration:
@@ -154,7 +158,12 @@ class StepProblem(NamedTuple):
             wrench = contact_wrench(one, contact_force(one, residual, self.constraints.is_elliptic))
             self._spread(wrench, one, base, joints)
         for row, residual in zip(self.constraints.rows, residuals.rows, strict=True):
-            joints[row.joint].add(row.side * joint_row_force(row, residual)[0], 1)
+            force = row.side * joint_row_force(row, residual)[0]
+            if row.direction is None:
+                joints[row.joint].add(force, 1)
+                continue
+            for total, part in zip(base, _parts(row.direction * force), strict=True):
+                total.add(part, 1)
         return Acceleration(_spatial([one.value for one in base]), {joint: one.value for joint, one in joints.items()})
 
     def _spread(
@@ -168,14 +177,19 @@ class StepProblem(NamedTuple):
             joints[joint].add(self.smooth.motions[joint].dot(wrench), n if self.stack_size(joint) == 1 else 1)
 
     def solve_linear_system(
-        self, right: Acceleration, curves: list[Curve] | None, stiff: dict[Joint, Scalar]
+        self,
+        right: Acceleration,
+        curves: list[Curve] | None,
+        stiff: dict[Joint, Scalar],
+        base_rows: Sequence[tuple[SpatialVector, Scalar]] = (),
     ) -> Acceleration:
         """Solve one linear system of Newton's method, (M + Jᵀ C J + diag) x = right.
 
         Args:
             right: The right side.
             curves: C of each contact; None for none.
-            stiff: What is added to the diagonal, by joint.
+            stiff: What is added to the diagonal, by joint; of `BASE` for all six directions of the base.
+            base_rows: Directions of the base with the second derivatives of their costs.
         """
         joints, has_base = [*self.force.joints], self.layout.has_free_base
         smooth = self.smooth
@@ -188,6 +202,12 @@ class StepProblem(NamedTuple):
             for i, row in enumerate(_base_block(whole.mass, h, inertia)):
                 for j, x in enumerate(row):
                     corner[i][j].add(x, 1)
+                corner[i][i].add(stiff.get(BASE, ZERO), 1)
+            for direction, bend in base_rows:
+                parts = _parts(direction)
+                for i, row in enumerate(corner):
+                    for j, total in enumerate(row):
+                        total.add(parts[i] * parts[j] * bend, 1)
         for joint in joints:
             side[joint] = [StackTotal(x) for x in _parts(smooth.momenta[joint])] if has_base else []
             for inner in inner_joints(self.layout, joint):
@@ -301,10 +321,15 @@ class StepProblem(NamedTuple):
             for one, residual in zip(self.constraints.contacts, now.residuals.contacts, strict=True)
         ]
         stiff: dict[Joint, Scalar] = {}
+        base_rows = []
         for row, residual in zip(self.constraints.rows, now.residuals.rows, strict=True):
-            stiff[row.joint] = stiff.get(row.joint, ZERO) + joint_row_force(row, residual)[1]
+            bend = joint_row_force(row, residual)[1]
+            if row.direction is None:
+                stiff[row.joint] = stiff.get(row.joint, ZERO) + bend
+            else:
+                base_rows.append((row.direction, bend))
         left = self.force.minus(now.momentum)
-        way = self.solve_linear_system(left.add_scaled(ONE, now.pull), curves, stiff)
+        way = self.solve_linear_system(left.add_scaled(ONE, now.pull), curves, stiff, base_rows)
         moved, changed = self.momentum(way), self.residuals(way, wanted=False)
         length = self._search(way, left, moved, now.residuals, changed)
         return self._iterate(
@@ -332,7 +357,7 @@ class StepProblem(NamedTuple):
         flat = slope_at_0 * -float(ROUNDING * jnp.finfo(like.dtype).eps)
         turns = self._turning_points(residuals, changed)
         lines = [
-            contact_cost_derivatives(*each, constraints.is_elliptic)
+            contact_cost_line(*each, constraints.is_elliptic)
             for each in zip(constraints.contacts, residuals.contacts, changed.contacts, strict=True)
         ]
 

@@ -27,6 +27,7 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     where,
 )
 from sweep.systems.mujoco_model.kernel.smooth import (
+    BASE,
     STILL,
     RobotState,
     SmoothTerms,
@@ -133,10 +134,12 @@ def compute_forces(
         pushes: Forces on bodies.
 
     Returns:
-        Generalized forces; the damping of each joint, which the integrator treats implicitly; the actuators.
+        Generalized forces; the damping of each joint and of `BASE`, as far as the integrator treats it implicitly;
+        the actuators.
     """
     model = numbers.model
     is_implicit = model.opt.integrator == IMPLICIT
+    damps_implicitly = is_implicit or not model.opt.disableflags & EXPLICIT
     forces, damping, found = {}, {}, []
     for joint in layout.joints:
         ids = layout.stacks[joint[0]].joints[joint[1]]
@@ -146,7 +149,7 @@ def compute_forces(
         passive = -(drag * rate)
         if numbers.is_used("jnt_stiffness", ids):
             passive = passive - numbers.get("jnt_stiffness", ids) * (angle - numbers.get("qpos_spring", places))
-        driven, soft = ZERO, drag if is_implicit or not model.opt.disableflags & EXPLICIT else ZERO
+        driven, soft = ZERO, drag if damps_implicitly else ZERO
         for acting in zip(*(joint_actuators(model, int(j)) for j in ids), strict=True):
             those = np.array(acting)
             drive, gear, velocity_gain = _drive(numbers, those, angle, rate, ctrl)
@@ -162,6 +165,11 @@ def compute_forces(
         forces[joint] = driven + passive - smooth.bias[joint]
         damping[joint] = soft
     base = smooth.bias_base * Scalar(-1.0)
+    dofs = layout.free_dofs(model)
+    if len(dofs) and numbers.is_used("dof_damping", dofs):
+        drag = numbers.get("dof_damping", dofs[:1])
+        base = base - state.velocity * drag
+        damping[BASE] = drag if damps_implicitly else ZERO
     for push in pushes:
         stack, place = layout.stacks[push.stack], smooth.places[push.stack]
         force = push.force
