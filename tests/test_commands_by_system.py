@@ -61,6 +61,7 @@ def lines(system):
         "stats": ["stats", "a"],
         "compare": ["compare", "a", "b"],
         "compare --anytime": ["compare", "draws", "others", "--by", "replicate", "--anytime"],
+        "league": ["league", "draws", "others", "--by", "replicate"],
         "certify": ["certify", "draws", "--failures", "0.9"],
         "relabel": ["relabel", "b", LIMIT[system]],
         "audit": ["audit", "a", "--ways", "again"],

@@ -10,7 +10,7 @@ from sweep.cli.main import main
 
 HOWTO = Path(__file__).parents[1] / "docs" / "howto"
 PROJECT = HOWTO / "example_cart.md"
-PAGES = [HOWTO / f"{name}.md" for name in ("choose_the_number_of_rollouts",)]
+PAGES = [HOWTO / f"{name}.md" for name in ("choose_the_number_of_rollouts", "rank_policies")]
 BLOCK = re.compile(r"```(\w+)\n(.*?)```", re.DOTALL)
 FILE = re.compile(r"(?:# |<!-- )([\w/]+\.\w+)(?: -->)?\n")
 

@@ -231,7 +231,11 @@ def flips_by_region(
             }
         )
     result = pd.DataFrame(table)
-    return result.drop(columns="p") if unit is None else result.assign(p_holm=_holm(result["p"].fillna(1).to_numpy()))
+    return (
+        result.drop(columns="p")
+        if unit is None
+        else result.assign(p_holm=holm_adjust(result["p"].fillna(1).to_numpy()))
+    )
 
 
 def _binned(values: pd.Series, bins: int) -> pd.Series:
@@ -246,8 +250,8 @@ def _extent(values: pd.Series) -> str:
     return f"{values.min():.4g} to {values.max():.4g}"
 
 
-def _holm(p: np.ndarray) -> np.ndarray:
-    """Correct p-values for multiple tests (Holm)."""
+def holm_adjust(p: np.ndarray) -> np.ndarray:
+    """Correct p-values (k,) for multiple tests, so that the smallest corrected ones hold together (Holm)."""
     order = np.argsort(p)
     adjusted = np.empty(len(p))
     adjusted[order] = np.maximum.accumulate((len(p) - np.arange(len(p))) * p[order])

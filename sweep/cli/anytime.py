@@ -1,6 +1,7 @@
 """`sweep compare A B --anytime`: a sequential comparison that stays valid however often it is evaluated."""
 
 import argparse
+from pathlib import Path
 
 import pandas as pd
 
@@ -54,13 +55,41 @@ def compare_anytime(args: argparse.Namespace, by: list[str] | None) -> sequentia
             return found
         for exp, folder in zip(exps, folders, strict=True):
             extend.check_extendable(exp, folder)
-        a_draw = max(len(rows[0]) // extend.count_draws(exps[0]), 1)  # rollouts
-        number = min(now + max(int(rows[0]["width"].iloc[-1]) // a_draw, now // 4, 1), args.most)
+        number = min(next_draw_count(exps[0], folders[0], now), args.most)
         for k, folder in enumerate(folders):
-            asked = len(rows[k]) * number // extend.count_draws(exps[k]) - len(rows[k])
-            with report_progress(folder.name, asked, f"{exps[k].scenario} for {folder.name}") as report:
-                exps[k] = extend.extend_study(exps[k], folder, number, report)
+            exps[k] = grow_folder(exps[k], folder, number)
             rows[k] = store.read_rows(folder)
+
+
+def next_draw_count(exp: Experiment, folder: Path, draws: int | None = None) -> int:
+    """Return to how many draws a study grows next: by a batch, or by a quarter of its draws.
+
+    Args:
+        exp: Experiment of the study.
+        folder: Its folder.
+        draws: Number of draws that it counts from; None for its own.
+    """
+    now = extend.count_draws(exp) if draws is None else draws
+    widths = store.read_rows(folder, ["width"])["width"]
+    rollouts = max(len(widths) // extend.count_draws(exp), 1)  # of a draw
+    return now + max(int(widths.iloc[-1]) // rollouts, now // 4, 1)
+
+
+def grow_folder(exp: Experiment, folder: Path, draws: int) -> Experiment:
+    """Simulate more draws of a study, with a progress line.
+
+    Args:
+        exp: Experiment of the study.
+        folder: Its folder.
+        draws: New number of draws.
+
+    Returns:
+        The experiment of the larger study.
+    """
+    done = store.count_rollouts(folder)[1]
+    asked = done * draws // extend.count_draws(exp) - done
+    with report_progress(folder.name, asked, f"{exp.scenario} for {folder.name}") as report:
+        return extend.extend_study(exp, folder, draws, report)
 
 
 def named_rows(rows: pd.DataFrame, exp: Experiment, condition: str | None) -> pd.DataFrame:

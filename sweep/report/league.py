@@ -1,0 +1,126 @@
+"""Text and figure of `sweep league`: success rates of several policies, and which of them beats which."""
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from sweep.analysis.league import LeagueRows, Race, better_matrix, condition_table, pair_table, rate_table, standings
+from sweep.analysis.stats import format_percent
+from sweep.core.plot_style import PAGE_WIDTH_IN, new_figure
+from sweep.report.outcome_style import FAILURE_COLOUR, SUCCESS_COLOUR
+from sweep.report.tables import page_table
+
+LINE_HEIGHT_IN, MARGIN_IN = 0.2, 0.7  # of a policy in the figure, and of its axis
+BETTER, OPEN, WORSE = "▲", "·", "▽"  # than the policy of the column
+
+
+def standings_of(league: LeagueRows, level: float) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the sorted policies, and all pairs of them.
+
+    Args:
+        league: Outcomes of the policies.
+        level: Confidence level of all verdicts together, and of all intervals together.
+    """
+    rates, pairs = rate_table(league, level), pair_table(league, level)
+    if league.unit is None:
+        return rates.sort_values("share", ascending=False, kind="stable").reset_index(drop=True), pairs
+    return standings(rates, better_matrix(pairs, league.policies)), pairs
+
+
+def format_league(league: LeagueRows, level: float, unit: str, by: list[str]) -> str:
+    """Describe a league as Markdown.
+
+    Args:
+        league: Outcomes of the policies.
+        level: Confidence level of all verdicts together, and of all intervals together.
+        unit: Plural of the independent unit.
+        by: Columns of `league.conditions` whose values are conditions.
+    """
+    table, pairs = standings_of(league, level)
+    sure = format_percent(level)
+    points = f"{len(league.success):,} points"
+    lines = [f"{len(league.policies)} policies on the same {points}"]
+    if league.unit is None:
+        lines[0] += ", which were chosen and not drawn: no intervals and no verdicts"
+    else:
+        lines[0] += f" ({league.unit_count:,} {unit})"
+    lines += [
+        f"{number:,} points are invalid for {name} and left out for all"
+        for name, number in zip(league.policies, league.invalid, strict=True)
+        if number
+    ]
+    lines += ["", page_table(table), ""]
+    if league.unit is not None:
+        decided = int((pairs["verdict"] != "not decided").sum())
+        lines += [
+            f"{decided} of {len(pairs)} pairs are decided. With {sure} confidence all verdicts hold together (exact "
+            "paired tests, Holm), as do all intervals of rates (Bonferroni) and of differences (max-t bootstrap)",
+            "",
+        ]
+    shares = [c for c in ("difference", "low", "high") if c in pairs]
+    lines.append(page_table(pairs.assign(**{c: [format_percent(v) for v in pairs[c]] for c in shares})))
+    if by:
+        rates = condition_table(league, by, level)
+        shown = rates.assign(**{name: [format_percent(v) for v in rates[name]] for name in league.policies})
+        lines += ["", f"By {', '.join(by)}:", "", page_table(shown)]
+    return "\n".join(lines) + "\n"
+
+
+def format_race(policies: list[str], race: Race, units: list[int], unit: str, only_best: bool) -> str:
+    """Describe the state of a race as text.
+
+    Args:
+        policies: Names of the policies.
+        race: The race.
+        units: Number of units of each policy.
+        unit: Plural of the independent unit.
+        only_best: Whether only the best policy is wanted.
+    """
+    wins, losses = race.better.sum(axis=1), race.better.sum(axis=0)
+    open_pairs = race.number - 1 - wins - losses
+    table = pd.DataFrame(
+        {"policy": policies, unit: units, "beats": wins, "beaten_by": losses, "not_decided": open_pairs}
+    )
+    table = table.iloc[np.lexsort((losses, -wins))]
+    total, pairs = race.number * (race.number - 1) // 2, int(race.better.sum())
+    lines = [page_table(table), "", f"{pairs} of {total} pairs are decided, however often one looked"]
+    left = [name for name, is_open in zip(policies, race.undecided_policies(only_best), strict=True) if is_open]
+    if only_best and not left:
+        lines.append(f"best: {policies[int(np.flatnonzero(~race.better.any(axis=0))[0])]}")
+    elif left:
+        lines.append(f"need more {unit}: {', '.join(left)}")
+    return "\n".join(lines) + "\n"
+
+
+def draw_league(table: pd.DataFrame, pairs: pd.DataFrame) -> Figure:
+    """Draw the rates of the policies with their intervals, and a matrix of which policy beats which.
+
+    Args:
+        table: Sorted policies, see `standings_of`.
+        pairs: Pairs with their verdicts.
+    """
+    names = [str(name) for name in table["policy"]]
+    figure = new_figure(MARGIN_IN + LINE_HEIGHT_IN * (len(names) + 1), PAGE_WIDTH_IN)
+    left, right = figure.subplots(1, 2, width_ratios=[1.2, 1])
+    y = np.arange(len(names))
+    if "low" in table:
+        ends = np.abs(table[["low", "high"]].to_numpy().T - table["share"].to_numpy())
+        left.errorbar(100 * table["share"], y, xerr=100 * ends, fmt="o", color="#00649E", capsize=2, markersize=3)
+    else:
+        left.plot(100 * table["share"], y, "o", color="#00649E", markersize=3)
+    left.set(yticks=y, yticklabels=names, xlabel="success rate, %", ylim=(len(names) - 0.5, -0.5))
+    left.grid(axis="x", linewidth=0.3)
+    right.set(xticks=y, yticks=y, xlim=(-0.5, len(names) - 0.5), ylim=(len(names) - 0.5, -0.5))
+    right.set_xticklabels(names, rotation=90)
+    right.set_yticklabels([])
+    right.set_aspect("equal")
+    right.set_xlabel("row is better ▲ or worse ▽ than column")
+    if "verdict" in pairs:
+        better = better_matrix(pairs, names)
+        for i, j in np.ndindex(better.shape):
+            mark, colour = (
+                (BETTER, SUCCESS_COLOUR) if better[i, j] else (WORSE, FAILURE_COLOUR) if better[j, i] else (OPEN, "0.4")
+            )
+            if i != j:
+                right.text(j, i, mark, color=colour, ha="center", va="center")
+    return figure
