@@ -23,8 +23,8 @@ from sweep.report import league as report
 Table = list[list[str]]  # columns, then rows
 
 RATES = np.round(np.arange(0.5, 0.96, 0.05), 2)
-STEP, MOST, RACES = 20, 20_000, 100  # units between looks, units at most, simulated races
-LEAGUES, POINTS = 400, 150  # simulated leagues, and their points
+STEP, MOST, RACES = 20, 20_000, 40  # units between looks, units at most, simulated races
+LEAGUES, POINTS = 120, 150  # simulated leagues, and their points
 CORRELATIONS = (0.0, 0.5)  # of the normal numbers behind the outcomes
 FIGURE = shared.DATA.parent / "figures" / "league.png"
 
