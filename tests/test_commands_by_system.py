@@ -18,6 +18,7 @@ SLOW = "run cluster=dask_local", "run engine=mjx", "tune"  # workers that take l
 ALONE = {"init", "list", "describe", "completion", "bench", "formula", "power"}  # that need no study
 DRAWS = "scenario: {}\nstudy: {{design: {{num: 40}}, axes: {{x: {{path: {}, side: world, relative: 0.02}}}}}}\n"
 LIMIT = {"robot": "slip_max_m<0.02", "own": "goal=travelled_m > 0"}
+TRIALS = {"robot": "friction,outcome\n0.05,failure\n", "own": "grip,outcome\n0.1,failure\n"}
 NOISE = {"robot": ["noise.position_noise=0.001"], "own": ["noise.white=0.001"]}
 TUNED = {
     "robot": ["scenario=pole_top", "study=pole_sizes", "study.design.num=2"],
@@ -37,6 +38,7 @@ def system(request, fake_engine, tmp_path, monkeypatch):
     for folder in ("a", "b"):
         assert main(["run", *study, f"out={folder}"]) == 0
     Path("studies/draws.yaml").write_text(DRAWS.format(*DRAWN[request.param]))
+    Path("real.csv").write_text(TRIALS[request.param])
     more = study[1:] if request.param == "own" else []
     for folder in ("draws", "others"):
         assert main(["run", "study=draws", *more, f"out={folder}"]) == 0
@@ -64,6 +66,7 @@ def lines(system):
         "league": ["league", "draws", "others", "--by", "replicate"],
         "certify": ["certify", "draws", "--failures", "0.9"],
         "relabel": ["relabel", "b", LIMIT[system]],
+        "trials": ["trials", "real.csv", "a"],
         "audit": ["audit", "a", "--ways", "again"],
         "report": ["report", "a"],
         "report A B": ["report", "a", "b"],

@@ -10,7 +10,9 @@ from sweep.cli.main import main
 
 HOWTO = Path(__file__).parents[1] / "docs" / "howto"
 PROJECT = HOWTO / "example_cart.md"
-PAGES = [HOWTO / f"{name}.md" for name in ("choose_the_number_of_rollouts", "rank_policies")]
+PAGES = [
+    HOWTO / f"{name}.md" for name in ("choose_the_number_of_rollouts", "rank_policies", "compare_with_real_trials")
+]
 BLOCK = re.compile(r"```(\w+)\n(.*?)```", re.DOTALL)
 FILE = re.compile(r"(?:# |<!-- )([\w/]+\.\w+)(?: -->)?\n")
 
