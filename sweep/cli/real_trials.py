@@ -13,7 +13,7 @@ from sweep.core.distinct_values import has_several_values
 from sweep.core.errors import InputError
 from sweep.core.expressions import find_column
 from sweep.core.plot_style import COLUMN_WIDTH_IN, new_figure, save_figure
-from sweep.report.tables import page_table
+from sweep.report.tables import markdown_table
 from sweep.runs import results, store
 from sweep.study.study import name_axes, parameter_columns
 
@@ -149,13 +149,13 @@ def format_trials(found: TrialsAnswer) -> str:
     if not np.isnan(r):
         lines.append(f"correlation over conditions {r:.2f} (95 % interval {low:.2f} to {high:.2f})")
     curve = found.curve.assign(predicted=[format_percent(v) for v in found.curve["predicted"]])
-    lines += ["", page_table(curve)]
+    lines += ["", markdown_table(curve)]
     if len(found.beliefs):
         lines += [
             "",
             f"Beliefs before and after the trials ({found.effective_draws:.0f} effective of {found.draws} draws):",
             "",
-            page_table(found.beliefs),
+            markdown_table(found.beliefs),
         ]
         if found.effective_draws < 30:
             lines += ["", "fewer than 30 effective draws: simulate more draws to see what the trials say"]

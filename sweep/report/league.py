@@ -8,7 +8,7 @@ from sweep.analysis.league import LeagueRows, Race, better_matrix, condition_tab
 from sweep.analysis.stats import format_percent
 from sweep.core.plot_style import PAGE_WIDTH_IN, new_figure
 from sweep.report.outcome_style import FAILURE_COLOUR, SUCCESS_COLOUR
-from sweep.report.tables import page_table
+from sweep.report.tables import markdown_table
 
 LINE_HEIGHT_IN, MARGIN_IN = 0.2, 0.7  # of a policy in the figure, and of its axis
 BETTER, OPEN, WORSE = "▲", "·", "▽"  # than the policy of the column
@@ -49,7 +49,7 @@ def format_league(league: LeagueRows, level: float, unit: str, by: list[str]) ->
         for name, number in zip(league.policies, league.invalid, strict=True)
         if number
     ]
-    lines += ["", page_table(table), ""]
+    lines += ["", markdown_table(table), ""]
     if league.unit is not None:
         decided = int((pairs["verdict"] != "not decided").sum())
         lines += [
@@ -58,11 +58,11 @@ def format_league(league: LeagueRows, level: float, unit: str, by: list[str]) ->
             "",
         ]
     shares = [c for c in ("difference", "low", "high") if c in pairs]
-    lines.append(page_table(pairs.assign(**{c: [format_percent(v) for v in pairs[c]] for c in shares})))
+    lines.append(markdown_table(pairs.assign(**{c: [format_percent(v) for v in pairs[c]] for c in shares})))
     if by:
         rates = condition_table(league, by, level)
         shown = rates.assign(**{name: [format_percent(v) for v in rates[name]] for name in league.policies})
-        lines += ["", f"By {', '.join(by)}:", "", page_table(shown)]
+        lines += ["", f"By {', '.join(by)}:", "", markdown_table(shown)]
     return "\n".join(lines) + "\n"
 
 
@@ -83,7 +83,7 @@ def format_race(policies: list[str], race: Race, units: list[int], unit: str, on
     )
     table = table.iloc[np.lexsort((losses, -wins))]
     total, pairs = race.number * (race.number - 1) // 2, int(race.better.sum())
-    lines = [page_table(table), "", f"{pairs} of {total} pairs are decided, however often one looked"]
+    lines = [markdown_table(table), "", f"{pairs} of {total} pairs are decided, however often one looked"]
     left = [name for name, is_open in zip(policies, race.undecided_policies(only_best), strict=True) if is_open]
     if only_best and not left:
         lines.append(f"best: {policies[int(np.flatnonzero(~race.better.any(axis=0))[0])]}")
