@@ -215,7 +215,7 @@ class MujocoModel(ModelSpec):
             yield from self.config.terrain.values_by_path().items()
         yield from self._varied_numbers(paths)
         for name, parts in (("push", self.pushes), ("payload", self.payloads), ("motor", self.motors),
-                            ("schedule", self.schedules)):  # fmt: skip
+                            ("schedule", self.schedules), ("network", self.actuator_networks)):  # fmt: skip
             if parts:
                 yield name, repr([tuple(one) for one in parts])
 
@@ -408,8 +408,8 @@ def build_nominal(values: Mapping[str, Any], kinds: ClassesByKind) -> SystemSetu
     bodies = [system.model.body(k).name for k in range(1, system.model.nbody)]
     pushes, pushed = disturbances.parse_pushes(values.get("push") or {}, bodies)
     loads, loaded = payloads.parse_payloads(values.get("payload") or {}, bodies)
-    drives, driven = motors.parse_motors(values.get("motor") or {}, system.model)
-    system = replace(system, pushes=pushes, payloads=loads, motors=drives)
+    drives, networks, driven = motors.parse_motors(values.get("motor") or {}, system.model)
+    system = replace(system, pushes=pushes, payloads=loads, motors=drives, actuator_networks=networks)
     given, folder = values.get("schedule") or {}, files.project_folder()
     orders, ordered = schedules.parse_schedules(given, [*system.controller.parameters], folder)
     system = replace(system, schedules=orders)
@@ -491,6 +491,8 @@ def _content_digest(system: MujocoModel) -> str:
     digest, ground = f"{files.digest_model(system.model)}-{system.controller.digest}", system.config.terrain
     if ground and ground.file:
         digest += f"-{_digest_listed('model.terrain.file', ground.file, ground)}"
+    for one in system.actuator_networks:
+        digest += f"-{one.digest}"
     if system.listed:
         found = [(path, name, _digest_listed(path, name, ground)) for path, names in system.listed for name in names]
         digest += f"-{hashlib.blake2b(repr(found).encode(), digest_size=8).hexdigest()}"
@@ -520,6 +522,8 @@ def _list_source_files(system: MujocoModel) -> list[Path]:
     found = [*files.list_files(system.config.mjcf), *system.controller.files]
     if image := system.file_value("model.terrain.file"):
         found += _listed_files("model.terrain.file", image)
+    for one in system.actuator_networks:
+        found += files.controller_files(one.file)
     return found + [file for path, names in system.listed for name in names for file in _listed_files(path, name)]
 
 

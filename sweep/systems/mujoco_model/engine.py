@@ -22,10 +22,11 @@ from sweep.core.errors import InputError
 from sweep.fused.dependence import find_unread_columns
 from sweep.systems.mujoco_model import batch
 from sweep.systems.mujoco_model.accumulator import MetricAccumulator, ModelMetricStates
+from sweep.systems.mujoco_model.actuator_networks import compute_torques
 from sweep.systems.mujoco_model.disturbances import delay_commands
 from sweep.systems.mujoco_model.metrics.unsolved import BALANCE_FIELDS, is_unbalanced
 from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
-from sweep.systems.mujoco_model.policy import ControllerBatch, ControllerPrograms, FirstTick
+from sweep.systems.mujoco_model.policy import ControllerBatch, ControllerPrograms, FirstTick, TiledActuators
 from sweep.systems.mujoco_model.tick import STEP_FIELDS
 
 BUFFER_WARNINGS = [
@@ -259,6 +260,8 @@ class TickStepper:
         self._control, self._motors, self._bodies = spec.controller.joint_control, spec.motor_law, spec.pushed_bodies
         self._commands = np.zeros((n, len(shares), model.nu))
         self._before: np.ndarray | None = None
+        self._networks = [TiledActuators(one) for one in spec.actuator_networks]
+        self._network_states = [one.begin(n) for one in spec.actuator_networks]
         self._past = np.zeros((n, spec.action_buffer, model.nu))  # commands of the steps before
         self._first = 0  # number of the next step
         self._pushed: tuple[np.ndarray, np.ndarray] | None = None  # places as two steps began, last force
@@ -294,7 +297,12 @@ class TickStepper:
         limits = self._begun.acting.motors
         if self._motors is None or limits is None:
             return controls
-        return self._motors.controls(controls, *state, limits)
+        torques, networks = None, self._spec.actuator_networks
+        if networks:
+            torques, self._network_states = compute_torques(
+                networks, self._networks, self._network_states, commands, *state
+            )
+        return self._motors.controls(controls, *state, limits, torques)
 
     def _simulate(self, commands: np.ndarray, forces: Any, out: Any) -> dict[str, np.ndarray]:
         simulate, record, spec = self._begun.batch.rollout, RECORDED_FIELDS, int(mujoco.mjtState.mjSTATE_CTRL)

@@ -88,19 +88,20 @@ def load_model(mjcf: str, ground: TerrainConfig | None = None, fields: int = 1) 
     return _compiled(file, file.stat().st_mtime_ns, ground, fields)
 
 
-def require_file(key: str, name: str, suffix: str) -> Path:
-    """Return the file that `model.KEY` names. Raises `InputError` where there is none, or in a folder of results.
+def require_file(key: str, name: str, suffix: str, group: str = "model") -> Path:
+    """Return the file that a key names. Raises `InputError` where there is none, or in a folder of results.
 
     Args:
         key: The key.
         name: The file, from the project's folder.
         suffix: End of the names of such files, for suggestions.
+        group: The group that the key is in.
     """
     file = project_folder() / name
     if not name or not file.is_file():
         near = [str(f.relative_to(project_folder())) for f in sorted(project_folder().glob(f"**/*{suffix}"))[:50]]
-        raise InputError(f"model.{key} = {name!r} is not a file{suggest(name, near) if near else ''}")
-    _refuse_results(key, name, [file])
+        raise InputError(f"{group}.{key} = {name!r} is not a file{suggest(name, near) if near else ''}")
+    _refuse_results(f"{group}.{key}", name, [file])
     return file
 
 
@@ -108,7 +109,7 @@ def _refuse_results(key: str, name: str, found: Iterable[Path]) -> None:
     """Refuse files of a folder of results or of a crate, which may come from a stranger. Raises `InputError`."""
     if around := next(filter(None, map(project.find_results_around, found)), None):
         raise InputError(
-            f"model.{key} = {name} is not allowed: it lies in {around}, which holds results, perhaps of a stranger; to "
+            f"{key} = {name} is not allowed: it lies in {around}, which holds results, perhaps of a stranger; to "
             "trust it, copy it into your project"
         )
 
@@ -134,7 +135,7 @@ def _refuse_foreign_module(controller: str, name: str) -> None:
             raise InputError(f"model.controller = {controller} is not allowed: {name} is a module of Python itself")
         path = list(spec.submodule_search_locations or ())
         _refuse_results(
-            "controller", controller, [*([Path(origin)] if origin else ()), *(Path(one, "any") for one in path)]
+            "model.controller", controller, [*([Path(origin)] if origin else ()), *(Path(one, "any") for one in path)]
         )
         # by its last name, as packages around it are not imported yet
         spec = PathFinder.find_spec(rest.pop(0), path) if rest else None
@@ -312,7 +313,7 @@ def require_inside_project(path: str, name: str) -> None:
 def _load_network(name: str, model: mujoco.MjModel, keyframe: int, period: float) -> LoadedController:
     """Load a network, which maps the observation to controls, or is as its specification says. Raises `InputError`."""
     file = _require_network(name)
-    network, files, learned = _read_network(name, file), list_network_files(file), None
+    network, files, learned = read_network(name, file), list_network_files(file), None
     if spec := read_policy_spec(name):
         told = learned_policy.spec_path(file)
         files = [*files, told]
@@ -337,14 +338,20 @@ def read_policy_spec(name: str) -> policy_spec.PolicySpec | None:
     if not name.endswith(NETWORK_SUFFIXES):
         return None
     told = learned_policy.spec_path(file := _require_network(name))
-    return learned_policy.read_spec(told, _read_network(name, file).metadata) if told.is_file() else None
+    return learned_policy.read_spec(told, read_network(name, file).metadata) if told.is_file() else None
 
 
 def _require_network(name: str) -> Path:
     return require_file("controller", name, Path(name).suffix)
 
 
-def _read_network(name: str, file: Path) -> Network:
+def read_network(name: str, file: Path) -> Network:
+    """Read a network of ONNX or PyTorch. Raises `InputError`.
+
+    Args:
+        name: The name that messages give.
+        file: The file.
+    """
     read = torch_network.read_torch_network if name.endswith(TORCH_SUFFIXES) else onnx_network.read_network
     return read(name, file)
 

@@ -47,11 +47,9 @@ class StartOffsets(NamedTuple):
         if base is not None and self.base.any():
             dof = int(model.jnt_dofadr[np.flatnonzero(model.jnt_qposadr == base)[0]])
             qpos[:, base : base + 3] += self.base[:, :3]
-            turn, found = np.zeros(4), np.zeros(4)
-            for row, angles in enumerate(self.base[:, 3:6]):
-                mujoco.mju_euler2Quat(turn, angles[::-1].copy(), "zyx")
-                mujoco.mju_mulQuat(found, qpos[row, base + 3 : base + 7].copy(), turn)
-                qpos[row, base + 3 : base + 7] = found
+            roll, pitch, yaw = (_turn_about(axis, self.base[:, 3 + axis]) for axis in range(3))
+            turn = _multiply(_multiply(yaw, pitch), roll)
+            qpos[:, base + 3 : base + 7] = _multiply(qpos[:, base + 3 : base + 7], turn)
             qvel[:, dof : dof + 6] += self.base[:, 6:]
         joints = hinge_and_slide_joints(model)
         if self.positions.any():
@@ -62,6 +60,27 @@ class StartOffsets(NamedTuple):
             moved = np.clip(qpos[:, places] + self.positions, low, high)
             qpos[:, places] = np.where(self.positions != 0, moved, qpos[:, places])
         qvel[:, model.jnt_dofadr[joints]] += self.velocities
+
+
+def _turn_about(axis: int, angle: np.ndarray) -> np.ndarray:
+    """Return the quaternions (n, 4) of turns by angles (n,) about the x, y or z axis."""
+    found = np.zeros((len(angle), 4))
+    found[:, 0], found[:, 1 + axis] = np.cos(angle / 2), np.sin(angle / 2)
+    return found
+
+
+def _multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the products (n, 4) of quaternions (n, 4)."""
+    (aw, ax, ay, az), (bw, bx, by, bz) = a.T, b.T
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        axis=1,
+    )
 
 
 def start_parameters(model: mujoco.MjModel, has_base: bool) -> dict[str, Parameter]:

@@ -100,6 +100,8 @@ class KernelModelEngine(ModelEngine):
 
     def __init__(self, spec: ModelSpec, settings: EngineSettings):
         self._layout = find_layout(spec.model)
+        if spec.actuator_networks:
+            raise unsupported_model_error("learned actuator networks")
         super().__init__(spec, settings)
         model = self._model
         self._is_inside = not (spec.controller.is_batched or spec.controller.fitted_policy)

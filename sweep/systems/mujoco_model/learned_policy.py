@@ -451,7 +451,7 @@ def _fit_action(
                              "actuator; give pd, with stiffness and damping")  # fmt: skip
         gear = model.actuator_gear[actuators, 0]
         return scale * gear, offset * gear, None, actuators
-    if way == "direct":
+    if way in ("target", "direct"):
         return scale, offset, None, actuators
     motors = (model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_NONE))[actuators]
     if not motors.all():

@@ -27,6 +27,7 @@ from sweep.core.constants import GRAVITY
 from sweep.core.errors import InputError
 from sweep.core.user_code import report_slow_call
 from sweep.systems.mujoco_model import batch, disturbances, fields, terrain
+from sweep.systems.mujoco_model.actuator_networks import compute_torques
 from sweep.systems.mujoco_model.engine import (
     TICKS_PER_CALL,
     BatchResult,
@@ -330,7 +331,7 @@ class MjxModelEngine(ModelEngine):
         acting = jax.tree.map(lambda one: jnp.asarray(one, float if one.dtype.kind == "f" else int), begun.acting)
         return begun, (template, data, leaves, policy_inputs, limits, acting), carry, ticks, at_first
 
-    def _start_acting(self, n: int) -> dict[str, Array]:
+    def _start_acting(self, n: int) -> dict[str, Any]:
         """What pushes and delays of commands carry from step to step at first: nothing where there are none."""
         spec, found = self._spec, {}
         if spec.action_buffer:
@@ -339,6 +340,8 @@ class MjxModelEngine(ModelEngine):
             found["wrench"] = jnp.zeros((n, self._model.nbody, 6))  # in the last step
             # of the bodies, as the last two steps began
             found["places"] = jnp.full((n, 2, len(spec.pushed_bodies), 3), jnp.nan)
+        if spec.actuator_networks:
+            found["networks"] = jax.tree.map(jnp.asarray, [one.begin(n) for one in spec.actuator_networks])
         if spec.action_buffer or spec.controller.joint_control or spec.motor_law:
             found["controls"] = jnp.zeros((n, self._model.nu))  # in the last step
         return found
@@ -389,7 +392,8 @@ class MjxModelEngine(ModelEngine):
         """
         template, data, leaves, policy_inputs, limits, acting = fixed
         bodies, time_step, law = self._spec.pushed_bodies, self._model.opt.timestep, self._spec.controller.joint_control
-        motor_law = self._spec.motor_law
+        motor_law, networks = self._spec.motor_law, self._spec.actuator_networks
+        evaluations = [jax.vmap(one.load_evaluation()) for one in networks]
 
         def inputs(ctrl: Array, wrench: Array | None) -> dict[str, Array]:
             return {"ctrl": ctrl} if wrench is None else {"ctrl": ctrl, "xfrc_applied": wrench}
@@ -429,7 +433,12 @@ class MjxModelEngine(ModelEngine):
                 command = before + share * (ctrl - before) if command is None else command
                 before_step = sim_state["qpos"], sim_state["qvel"]
                 controls = command if law is None else law.controls(command, *before_step)
-                controls = controls if motor_law is None else motor_law.controls(controls, *before_step, acting.motors)
+                torques = None
+                if networks:
+                    given = networks, evaluations, extra["networks"], command
+                    torques, extra["networks"] = compute_torques(*given, *before_step)
+                if motor_law is not None:
+                    controls = motor_law.controls(controls, *before_step, acting.motors, torques)
                 wrench = None
                 if len(bodies):
                     forces = acting.mean_push_forces(first_step + number, 1, time_step)[:, 0]

@@ -13,6 +13,7 @@ from sweep.core.errors import InputError, require_choice
 from sweep.core.metric import array_namespace
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.systems.mujoco_model import fields, files, initial_state, terrain, terrain_heights
+from sweep.systems.mujoco_model.actuator_networks import ActuatorNetwork
 from sweep.systems.mujoco_model.disturbances import PUSH_PARAMETERS, PushedBody
 from sweep.systems.mujoco_model.motors import MOTOR, MotorGroup, MotorLaw, make_motor_law
 from sweep.systems.mujoco_model.payloads import PAYLOAD, Payload, add_payloads
@@ -93,6 +94,7 @@ class ModelSpec:
     payloads: tuple[Payload, ...] = ()
     motors: tuple[MotorGroup, ...] = ()
     schedules: tuple[Schedule, ...] = ()
+    actuator_networks: tuple[ActuatorNetwork, ...] = ()
 
     @cached_property
     def model(self) -> mujoco.MjModel:
@@ -120,7 +122,7 @@ class ModelSpec:
     @cached_property
     def motor_law(self) -> MotorLaw | None:
         """The law that clips controls to what motors can give; None where no joint has a motor."""
-        return make_motor_law(self.model, self.motors)
+        return make_motor_law(self.model, self.motors, self.actuator_networks)
 
     def model_values(self, world: SideValues) -> dict[str, Any]:
         """Return the values of a side, by path, that are numbers of the compiled model."""

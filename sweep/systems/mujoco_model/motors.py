@@ -12,6 +12,7 @@ from sweep.contract.system import Parameter
 from sweep.core.errors import InputError
 from sweep.core.parameters import quantity
 from sweep.systems.mujoco_model.actuation import JOINT_TRANSMISSIONS
+from sweep.systems.mujoco_model.actuator_networks import KEYS, UNLIMITED, ActuatorNetwork, parse_network
 from sweep.systems.mujoco_model.named_groups import iterate_named_entries
 
 MOTOR: Mapping[str, Parameter] = {  # numbers of the motors of some joints
@@ -36,6 +37,7 @@ class MotorLimits(NamedTuple):
     stall: Any  # (n, nu) N*m
     speed: Any  # (n, nu) rad/s
     most: Any  # (n, nu) N*m
+    strength: Any  # (n, nu) factor of the torques of networks
     gear: Any  # (n, nu)
     gain: Any  # (n, nu) force for a unit of control
     bias: Any  # (n, nu, 3) constant force, and force by length and velocity of the actuator
@@ -49,8 +51,9 @@ class MotorLaw(NamedTuple):
     qpos: np.ndarray  # (nu,) index of the joint's position
     qvel: np.ndarray  # (nu,) index of the joint's velocity
     active: np.ndarray  # (nu,) whether the actuator has a motor
+    learned: np.ndarray  # (nu,) whether a network gives the motor's torque
 
-    def controls(self, ctrl: Any, qpos: Any, qvel: Any, limits: MotorLimits) -> Any:
+    def controls(self, ctrl: Any, qpos: Any, qvel: Any, limits: MotorLimits, torques: Any = None) -> Any:
         """Return controls (n, nu) whose torques the motors can give, as a physics step begins.
 
         The torque of a motor at the speed v is between `-stall (1 + v / speed)` and `stall (1 - v / speed)`, and at
@@ -61,28 +64,39 @@ class MotorLaw(NamedTuple):
             qpos: Positions (n, nq).
             qvel: Velocities (n, nv).
             limits: Limits of the motors.
+            torques: Torques (n, nu) of the motors that have a network, N*m.
         """
         xp = qpos.__array_namespace__()
         speed = qvel[:, self.qvel]
         motion = limits.bias[..., 1] * qpos[:, self.qpos] + limits.bias[..., 2] * speed
         passive = limits.bias[..., 0] + limits.gear * motion
         torque = limits.gear * (limits.gain * xp.clip(ctrl, limits.low, limits.high) + passive)
+        torque = torque if torques is None else xp.where(self.learned, limits.strength * torques, torque)
         high = xp.clip(limits.stall * (1 - speed / limits.speed), -limits.most, limits.most)
         low = xp.clip(-limits.stall * (1 + speed / limits.speed), -limits.most, limits.most)
         torque = xp.clip(torque, low, high)
         return xp.where(self.active & (limits.gain != 0), (torque / limits.gear - passive) / limits.gain, ctrl)
 
 
-def parse_motors(given: Any, model: mujoco.MjModel) -> tuple[tuple[MotorGroup, ...], dict[str, Any]]:
-    """Return the motors of a configuration, and their numbers by path. Raises `InputError`.
+def parse_motors(
+    given: Any, model: mujoco.MjModel
+) -> tuple[tuple[MotorGroup, ...], tuple[ActuatorNetwork, ...], dict[str, Any]]:
+    """Return the motors of a configuration, their networks, and their numbers by path. Raises `InputError`.
 
     Args:
-        given: For each name a mapping with `joints`, a pattern of names, and keys of `MOTOR`.
+        given: For each name a mapping with `joints`, a pattern of names, keys of `MOTOR`, and with the key `network`
+            those of `actuator_networks.KEYS`.
         model: The model.
     """
-    groups, numbers, taken = [], {}, {}
+    groups, networks, numbers, taken = [], [], {}, {}
     such = "motors by name, such as {legs: {joints: '*', stall_torque: 30, no_load_speed: 20}}"
-    for name, said in iterate_named_entries("motor", given, such, ("joints", *MOTOR), ("joints", *NEEDED)):
+    learned = ("network", *KEYS, "order", "recurrent")
+    for name, said in iterate_named_entries("motor", given, such, ("joints", *MOTOR, *learned), ("joints",)):
+        has_network = "network" in said
+        if odd := next((key for key in said if key in learned and not has_network), None):
+            raise InputError(f"motor.{name}.{odd} is not allowed without the key network")
+        if missing := next((key for key in NEEDED if key not in said and not has_network), None):
+            raise InputError(f"motor.{name} needs the key {missing}")
         actuators = _find_motors(f"motor.{name}", str(said["joints"]), model)
         for one in actuators:
             if one in taken:
@@ -90,8 +104,11 @@ def parse_motors(given: Any, model: mujoco.MjModel) -> tuple[tuple[MotorGroup, .
                 raise InputError(f"motor.{name}.joints = {said['joints']}: {joint} is in motor.{taken[one]}, too")
             taken[one] = name
         groups.append(MotorGroup(name, actuators))
-        numbers |= {f"motor.{name}.{key}": value for key, value in said.items() if key != "joints"}
-    return tuple(groups), numbers
+        if has_network:
+            networks.append(parse_network(f"motor.{name}", said, actuators, model))
+        own = {**(UNLIMITED if has_network else {}), **said}
+        numbers |= {f"motor.{name}.{key}": value for key, value in own.items() if key in MOTOR}
+    return tuple(groups), tuple(networks), numbers
 
 
 def _find_motors(error_prefix: str, pattern: str, model: mujoco.MjModel) -> tuple[int, ...]:
@@ -118,13 +135,22 @@ def _find_motors(error_prefix: str, pattern: str, model: mujoco.MjModel) -> tupl
     return tuple(found)
 
 
-def make_motor_law(model: mujoco.MjModel, groups: tuple[MotorGroup, ...]) -> MotorLaw | None:
-    """Make the law of all actuators; None where no joint has a motor."""
+def make_motor_law(
+    model: mujoco.MjModel, groups: tuple[MotorGroup, ...], networks: tuple[ActuatorNetwork, ...] = ()
+) -> MotorLaw | None:
+    """Make the law of all actuators; None where no joint has a motor.
+
+    Args:
+        model: The model.
+        groups: The motors.
+        networks: Networks of some of them.
+    """
     if not groups:
         return None
     active = np.isin(np.arange(model.nu), [k for one in groups for k in one.actuators])
     joints = np.where(active, model.actuator_trnid[:, 0], 0)
-    return MotorLaw(model.jnt_qposadr[joints].astype(int), model.jnt_dofadr[joints].astype(int), active)
+    learned = np.isin(np.arange(model.nu), [k for one in networks for k in one.actuators])
+    return MotorLaw(model.jnt_qposadr[joints].astype(int), model.jnt_dofadr[joints].astype(int), active, learned)
 
 
 def make_motor_limits(groups: tuple[MotorGroup, ...], values: Mapping[str, Any], batch: Batch) -> MotorLimits | None:
@@ -138,16 +164,19 @@ def make_motor_limits(groups: tuple[MotorGroup, ...], values: Mapping[str, Any],
     if not groups:
         return None
     model, n = batch.model, batch.nsim
-    stall, speed, most = (np.ones((n, model.nu)) for _ in range(3))
+    stall, speed, most, strength = (np.ones((n, model.nu)) for _ in range(4))
     for one in groups:
         number = {key: np.asarray(values[f"motor.{one.name}.{key}"], float)[..., None] for key in MOTOR}
         which = list(one.actuators)
         stall[:, which] = number["strength"] * number["stall_torque"]
         speed[:, which] = number["no_load_speed"]
+        strength[:, which] = number["strength"]
         most[:, which] = number["strength"] * number["torque_limit"]
     names = "gear", "gainprm", "biasprm", "ctrlrange"
     gear, gain, bias, controls = (np.array(batch.expand(f"actuator_{name}")) for name in names)
     affine = (model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE))[:, None]
     limited = model.actuator_ctrllimited.astype(bool)[:, None]
     low, high = np.moveaxis(np.where(limited, controls, [-np.inf, np.inf]), -1, 0)
-    return MotorLimits(stall, speed, most, gear[..., 0], gain[..., 0], np.where(affine, bias[..., :3], 0.0), low, high)
+    return MotorLimits(
+        stall, speed, most, strength, gear[..., 0], gain[..., 0], np.where(affine, bias[..., :3], 0.0), low, high
+    )

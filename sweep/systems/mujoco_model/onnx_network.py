@@ -11,6 +11,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -125,6 +126,39 @@ def make_network(name: str, model: Any, folder: Path) -> Network:
 
     metadata = {one.key: one.value for one in model.metadata_props}
     return Network(name, MappingProxyType(inputs), MappingProxyType(outputs), MappingProxyType(metadata), evaluate)
+
+
+def make_joint_network(network: Network, recurrent: Mapping[str, str], size: int) -> Callable[[Any, Any], Any]:
+    """Make a function of the joints of one rollout from a network of a single joint.
+
+    Args:
+        network: The network. It has one input and one output beside recurrent ones.
+        recurrent: Outputs by the input that receives them in the next step.
+        size: Number of inputs k of a joint.
+
+    Returns:
+        A function of inputs (joints, k) and memory (joints, ...) by name, which returns outputs (joints,) and the next
+        memory.
+
+    Raises:
+        InputError: The network has other inputs or outputs.
+    """
+    into = [one for one in network.inputs if one not in recurrent]
+    out = [one for one in network.outputs if one not in recurrent.values()]
+    unknown = [*({*recurrent} - {*network.inputs}), *({*recurrent.values()} - {*network.outputs})]
+    has = ", ".join((*network.inputs, *network.outputs))
+    if len(into) != 1 or len(out) != 1 or unknown:
+        raise InputError(f"{network.name} has {has}: one input and one output are allowed beside those in recurrent")
+    shape = network.input_shape(into[0])
+    if shape[-1] not in (-1, size):
+        raise InputError(f"{network.name} takes {shape[-1]} numbers: the samples of a joint have {size}")
+
+    def evaluate_joint(numbers: Any, memory: Mapping[str, Any]) -> tuple[Any, dict[str, Any]]:
+        found = network.evaluate({into[0]: numbers.reshape(shape), **memory})
+        after = {name: found[recurrent[name]].reshape(old.shape).astype(old.dtype) for name, old in memory.items()}
+        return found[out[0]].reshape(()).astype(numbers.dtype), after
+
+    return jax.vmap(evaluate_joint)
 
 
 def make_stateless_policy(network: Network) -> Callable[..., Any]:

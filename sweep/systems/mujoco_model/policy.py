@@ -20,6 +20,7 @@ from sweep.core.metric import Metric, keep_ended_states
 from sweep.core.user_code import describe_user_error, run_user_code
 from sweep.fused.numbers import evaluate_plain_numbers
 from sweep.systems.mujoco_model import files
+from sweep.systems.mujoco_model.actuator_networks import ActuatorNetwork
 from sweep.systems.mujoco_model.batch import BatchStart, controller_inputs, count_ticks
 from sweep.systems.mujoco_model.model_spec import PHYSICAL, ModelSpec, SideValues
 from sweep.systems.mujoco_model.schedules import tabulate_schedule
@@ -387,6 +388,21 @@ class ControllerPrograms:
             raise self._error(f"has figures {has}: numbers are wanted, named in FIGURES")
         if spec.controller.is_batched:
             self.compute_controls(np.zeros((TILE_ROLLOUTS, seen.shape[0]), jnp.zeros(0).dtype))
+
+
+class TiledActuators:
+    """A learned actuator network over n rollouts, evaluated in tiles of `TILE_ROLLOUTS` rollouts."""
+
+    def __init__(self, network: ActuatorNetwork):
+        one = network.load_evaluation()
+        self._program = jax.jit(lambda *rows: jax.lax.map(lambda row: one(*row), rows))
+
+    def __call__(self, inputs: np.ndarray, memory: Mapping[str, np.ndarray]) -> tuple[np.ndarray, dict[str, Any]]:
+        """Return torques (n, joints) and the next memory from inputs (n, joints, k) and memory (n, joints, ...)."""
+        n = len(inputs)
+        rows = np.minimum(np.arange(-(-n // TILE_ROLLOUTS) * TILE_ROLLOUTS), n - 1).reshape(-1, TILE_ROLLOUTS)
+        parts = [self._program(inputs[tile], {name: one[tile] for name, one in memory.items()}) for tile in rows]
+        return jax.tree.map(lambda *every: np.concatenate(every)[:n].astype(float), *parts)
 
 
 class ControllerBatch:

@@ -106,7 +106,8 @@ class ActionSpec:
     offset: Any = "default_pose"  # in the form of `scale`, or the default pose of the joints
     clip: tuple[float, ...] = ()  # least and largest output of the network
     # servo: actions are targets of the model's position actuators; pd: torques are computed from stiffness and damping
-    # at every physics step; direct: actions are controls; auto: servo if the model has position actuators, else pd
+    # at every physics step; target: actions are joint targets of motors with a network (group `motor`); direct: actions
+    # are controls; auto: servo if the model has position actuators, else pd
     actuation: str = "auto"
     stiffness: Any = None  # of pd: N*m/rad, in the form of `scale`
     damping: Any = 0.0  # of pd: N*m*s/rad, in the form of `scale`
@@ -152,7 +153,7 @@ class PolicySpec:
 
 
 CHOICES = {
-    "actuation": ("auto", "servo", "pd", "direct"),
+    "actuation": ("auto", "servo", "pd", "target", "direct"),
     "stacking": ("by_term", "by_tick"),
     "history_start": ("first", "zeros"),
     "order": ("cos_sin", "sin_cos"),

@@ -346,8 +346,18 @@ def _highest_ground(ground: TerrainBatch, centres: np.ndarray, halves: np.ndarra
         spans.append((np.floor(low + 1e-9), np.ceil(high - 1e-9), last))
     (left, right, columns), (near, far, rows) = spans
     inside = (right >= 0) & (left <= columns) & (far >= 0) & (near <= rows)
-    for n, g in np.argwhere(inside & np.isfinite(left + right + near + far)):
-        row = slice(max(int(near[n, g]), 0), int(far[n, g]) + 1)
-        column = slice(max(int(left[n, g]), 0), int(right[n, g]) + 1)
-        found[n, g] = ground.heights[ground.which[n], row, column].max()
+    which, geom = np.nonzero(inside & np.isfinite(left + right + near + far))
+    if not len(which):
+        return found
+    first_row, first_column = (np.maximum(one[which, geom], 0).astype(int) for one in (near, left))
+    last_row, last_column = (
+        np.minimum(one[which, geom], last).astype(int) for one, last in ((far, rows), (right, columns))
+    )
+    sizes = np.stack([last_row - first_row, last_column - first_column], axis=1)
+    for size in np.unique(sizes, axis=0):  # rectangles of one size at a time: there are few sizes
+        alike = (sizes == size).all(axis=1)
+        row = first_row[alike, None, None] + np.arange(size[0] + 1)[:, None]
+        column = first_column[alike, None, None] + np.arange(size[1] + 1)
+        heights = ground.heights[ground.which[which[alike], None, None], row, column]
+        found[which[alike], geom[alike]] = heights.max(axis=(1, 2))
     return found
