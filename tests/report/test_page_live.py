@@ -36,6 +36,7 @@ pytestmark = [
 ]
 
 AXE = "4.10.3"
+LEGENDED = ("Map", "Every rollout", "Causes by stage")  # views whose pictures have the legend of outcomes
 STEP = "manoeuvre.half_step_ratio"
 EXAMPLES = sorted((Path(__file__).parents[2] / "research" / "examples").glob("*/report.html"))
 
@@ -353,10 +354,16 @@ def test_every_view_is_saved(shown, form):
         blob = f"given_['{name}.{form.lower()}']"
         if form == "SVG":
             drawing = ElementTree.fromstring(shown.run(f"{blob}.text()"))
+            said = [one.text or "" for one in drawing.iter("{http://www.w3.org/2000/svg}text")]
+            assert said[0].endswith(f": {name}")
+            assert any(text.startswith("success ") for text in said) == (name in LEGENDED), name
             assert any(words in (one.text or "") for one in drawing.iter("{http://www.w3.org/2000/svg}text")), name
         else:
             seen = shown.run(f"createImageBitmap({blob}).then((one) => [one.width, one.height])")
             assert min(seen) > 60, name
+            if name == "Map":
+                width = shown.run("document.querySelector('#map-base').clientWidth")
+                assert seen[0] == pytest.approx(2 * width, abs=2)
     if form == "SVG":  # it looks as the canvas does
         seen, area = colours(shown), np.s_[14:-50, 66:-16]
         height, width, _ = seen.shape
@@ -364,7 +371,9 @@ def test_every_view_is_saved(shown, form):
             one.src = "data:image/svg+xml," + encodeURIComponent(text); document.body.append(one);
             return one.decode() }}).then(() => {{ const paper = document.createElement("canvas"); paper.id = "redrawn";
             [paper.width, paper.height] = [{width}, {height}]; document.body.append(paper);
-            paper.getContext("2d").drawImage(document.querySelector("#drawing"), 0, 0) }})""")
+            const text = decodeURIComponent(document.querySelector("#drawing").src);
+            const head = Number(/data-head="([0-9.]+)"/.exec(text)[1]);
+            paper.getContext("2d").drawImage(document.querySelector("#drawing"), 0, -head) }})""")
         again = colours(shown, "#redrawn")
         assert (np.abs(seen[area].astype(int) - again[area]).max(axis=-1) > 60).mean() < 0.01
 

@@ -23,6 +23,7 @@ import { setRange } from "./selection.js";
 const [BINS, LISTED] = [32, 60]; // bins of continuous values; most values of a grid that get a bin each
 const SHOWN_DISTRIBUTIONS = 8; // distributions shown before the user asks for more
 const MARK_RADIUS = 5; // CSS pixels, radius of a mark beside the name of its kind
+export const LEGEND_SYMBOL = 13; // CSS pixels of a symbol's width and height
 const PAIRED_COLUMNS = 6; // columns of the matrix of pairs
 
 /**
@@ -108,6 +109,20 @@ export function drawKindBox(pen, x, y, width, height, look, ratio) {
   const pixels = makePixels(wide, high);
   const glyph = width >= 12 ? makeGlyph(look, ratio) : null;
   paintKind(pixels, { left: 0, top: 0, right: wide, bottom: high }, look, glyph, -1, ratio);
+  pen.putImageData(pixels.image, Math.round(x * ratio), Math.round(y * ratio));
+}
+
+/**
+ * Draw the symbol of a kind in a legend: a mark where the map has marks, else a box like a cell.
+ * @type {(app: App, pen: CanvasRenderingContext2D, x: number, y: number, kind: number, ratio: number) => void}
+ */
+export function drawLegendSymbol(app, pen, x, y, kind, ratio) {
+  const look = app.looks()[kind];
+  if (app.form() !== "marks") return drawKindBox(pen, x, y, LEGEND_SYMBOL, LEGEND_SYMBOL, look, ratio);
+  const size = Math.round(LEGEND_SYMBOL * ratio);
+  const pixels = makePixels(size, size);
+  pixels.colours.fill(packRgb(...app.theme().paper));
+  drawStamp(pixels, makeStamp(look.shape, MARK_RADIUS * ratio), size / 2, size / 2, look.mark, 1, -2);
   pen.putImageData(pixels.image, Math.round(x * ratio), Math.round(y * ratio));
 }
 

@@ -62,12 +62,15 @@ export function fillSelect(select, options, chosen) {
 /** @type {Map<HTMLCanvasElement, VectorPen>} pens that record what is drawn on these canvases while they are saved */
 export const recorders = new Map();
 
+/** Pixels of a drawing for each CSS pixel; 0 for the screen's. */
+export const resolution = { ratio: 0 };
+
 /**
  * Clear a canvas and prepare it for drawing in CSS pixels at the screen's resolution.
  * @type {(canvas: HTMLCanvasElement) => Sheet}
  */
 export function prepareCanvas(canvas) {
-  const ratio = Math.min(window.devicePixelRatio || 1, 2);
+  const ratio = resolution.ratio || Math.min(window.devicePixelRatio || 1, 2);
   const { clientWidth: width, clientHeight: height } = canvas;
   if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
     canvas.width = Math.round(width * ratio);

@@ -1,9 +1,24 @@
 // Exports: pictures of views, the filtered rows as CSV, a replay as a video.
 import { pointId } from "./data.js";
-import { makeButton, element, recorders } from "./dom.js";
+import { drawLegendSymbol, LEGEND_SYMBOL } from "./charts.js";
+import { byId, makeButton, element, recorders, resolution, shortenToFit } from "./dom.js";
+import { formatCount } from "./numbers.js";
 import { VectorPen } from "./vector.js";
 
 /** @import { App } from "./main.js" */
+
+/**
+ * What stands above a saved picture: the study and the view, the selection, and the legend of kinds.
+ * @typedef {object} Head
+ * @property {string} title
+ * @property {string} selection
+ * @property {{ kind: number, text: string, x: number, y: number }[]} entries
+ * @property {number} height CSS pixels
+ */
+
+const PICTURE_RATIO = 2; // pixels of a PNG picture for each CSS pixel
+const HEAD_FONTS = ["bold 14px sans-serif", "12px sans-serif"]; // of the title, and of what follows
+const LEGENDED = "#curves, #map-base, #lines-base, #stages"; // views whose colours are those of kinds
 
 /**
  * Let the user download a file.
@@ -51,41 +66,91 @@ function panelCanvases(panel) {
 }
 
 /**
- * Compose a panel's canvases into one PNG picture.
- * @type {(app: App, panel: Element) => Promise<Blob | null>}
+ * Lay out what stands above the picture of a panel.
+ * @type {(app: App, panel: Element, name: string, width: number) => Head}
  */
-async function panelPng(app, panel) {
+function layHead({ table, state }, panel, name, width) {
+  const pen = /** @type {CanvasRenderingContext2D} */ (element("canvas").getContext("2d"));
+  pen.font = HEAD_FONTS[0];
+  const title = shortenToFit(pen, `${table.about.name}: ${name}`, width - 16);
+  pen.font = HEAD_FONTS[1];
+  const filters = [...byId("filters").children].map((one) => (one.textContent ?? "").replace(/ ×$/, ""));
+  const selection = shortenToFit(pen, [byId("passing").textContent, ...filters].join("; "), width - 16);
+  const counts = new Int32Array(table.about.kinds.length);
+  for (let row = 0; row < table.rows; row++) counts[table.kind[row]] += state.mask[row];
+  let [x, y] = [8, 44];
+  /** @type {Head["entries"]} */
+  const entries = [];
+  table.about.kinds.forEach(({ label }, kind) => {
+    if (!counts[kind] || !panel.querySelector(LEGENDED)) return;
+    const text = `${label} ${formatCount(counts[kind])}`;
+    const room = LEGEND_SYMBOL + 5 + pen.measureText(text).width;
+    if (x > 8 && x + room > width) [x, y] = [8, y + 19];
+    entries.push({ kind, text, x, y });
+    x += room + 16;
+  });
+  return { title, selection, entries, height: entries.length ? y + 23 : 46 };
+}
+
+/** @type {(app: App, head: Head, pen: CanvasRenderingContext2D, ratio: number) => void} */
+function drawHead(app, { title, selection, entries }, pen, ratio) {
+  pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+  pen.textBaseline = "top";
+  pen.textAlign = "left";
+  [pen.fillStyle, pen.font] = [app.theme().ink, HEAD_FONTS[0]];
+  pen.fillText(title, 8, 6);
+  [pen.fillStyle, pen.font] = [app.theme().soft, HEAD_FONTS[1]];
+  pen.fillText(selection, 8, 25);
+  pen.fillStyle = app.theme().ink;
+  for (const { kind, text, x, y } of entries) {
+    drawLegendSymbol(app, pen, x, y, kind, ratio);
+    pen.fillText(text, x + LEGEND_SYMBOL + 5, y);
+  }
+}
+
+/**
+ * Compose a panel's canvases into one PNG picture of twice the screen's size, below its title and legend.
+ * @type {(app: App, panel: Element, name: string) => Promise<Blob | null>}
+ */
+async function panelPng(app, panel, name) {
+  resolution.ratio = PICTURE_RATIO;
   await app.drawn();
   const { canvases, boxes, whole } = panelCanvases(panel);
-  const ratio = canvases[0].width / boxes[0].width;
-  const paper = element("canvas", { width: `${ratio * whole.width}`, height: `${ratio * whole.height}` });
+  const head = layHead(app, panel, name, whole.width);
+  const size = { width: `${PICTURE_RATIO * whole.width}`, height: `${PICTURE_RATIO * (head.height + whole.height)}` };
+  const paper = element("canvas", size);
   const pen = /** @type {CanvasRenderingContext2D} */ (paper.getContext("2d"));
   pen.fillStyle = app.theme().panel;
   pen.fillRect(0, 0, paper.width, paper.height);
+  drawHead(app, head, pen, PICTURE_RATIO);
   canvases.forEach((one, k) => {
     const { left, top, width, height } = boxes[k];
-    if (one.width)
-      pen.drawImage(one, (left - whole.left) * ratio, (top - whole.top) * ratio, width * ratio, height * ratio);
+    if (one.width) pen.drawImage(one, left - whole.left, head.height + top - whole.top, width, height);
   });
+  resolution.ratio = 0;
+  await app.drawn();
   return new Promise((done) => paper.toBlob(done));
 }
 
 /**
  * Compose a panel's canvases into one SVG drawing: lines and text stay vectors, cells and marks are images.
- * @type {(app: App, panel: Element) => Promise<Blob>}
+ * @type {(app: App, panel: Element, name: string) => Promise<Blob>}
  */
-async function panelSvg(app, panel) {
+async function panelSvg(app, panel, name) {
   const { canvases, boxes, whole } = panelCanvases(panel);
   const pens = canvases.map((one) => new VectorPen(one));
   canvases.forEach((one, k) => recorders.set(one, pens[k]));
   await app.drawn().finally(() => recorders.clear());
+  const head = layHead(app, panel, name, whole.width);
+  const pen = new VectorPen(element("canvas"));
+  drawHead(app, head, /** @type {CanvasRenderingContext2D} */ (/** @type {unknown} */ (pen)), PICTURE_RATIO);
   const parts = boxes.map(({ left, top, width, height }, k) => {
-    const place = `x="${left - whole.left}" y="${top - whole.top}" width="${width}" height="${height}"`;
+    const place = `x="${left - whole.left}" y="${head.height + top - whole.top}" width="${width}" height="${height}"`;
     return `<svg ${place}>${pens[k].text()}</svg>`;
   });
   const ground = `<rect width="100%" height="100%" fill="${app.theme().panel}"/>`;
-  const text = `<svg xmlns="http://www.w3.org/2000/svg" width="${whole.width}" height="${whole.height}">${ground}`;
-  return new Blob([text, ...parts, "</svg>"], { type: "image/svg+xml" });
+  const text = `<svg xmlns="http://www.w3.org/2000/svg" width="${whole.width}" height="${head.height + whole.height}" data-head="${head.height}">${ground}`;
+  return new Blob([text, pen.text(), ...parts, "</svg>"], { type: "image/svg+xml" });
 }
 
 /**
@@ -102,7 +167,7 @@ export function offerPictures(app) {
     ])) {
       const save = async () => {
         if (!panelCanvases(panel).canvases.length) return;
-        const content = await made(app, panel);
+        const content = await made(app, panel, name);
         if (content) download(content, `${name}.${word.toLowerCase()}`);
       };
       const button = makeButton({ class: "save", title: `save "${name}" as ${word}` }, save, word);
