@@ -4,8 +4,11 @@ import dataclasses
 import json
 import os
 import shutil
+from dataclasses import replace
 
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from small_study import STUDY, content, one_line
 
@@ -349,3 +352,50 @@ def test_a_file_with_a_hole_of_gigabytes_is_not_read(folder, capsys, name):
         file.truncate(2**40)  # which takes no room
     assert main(["report", str(folder)]) == 2
     one_line(capsys.readouterr().err, path.name)
+
+
+def list_as(folder, entry, path):
+    """List a file of a folder in the place of an entry of its manifest, as it is now."""
+    listed = [one for one in manifest.read_manifest(folder) if one != entry]
+    manifest.rewrite_manifest(
+        folder, [*listed, replace(entry, length=path.stat().st_size, sha256=files.digest_file(path))]
+    )
+
+
+@pytest.mark.parametrize("kind", ["points", "part", "unlisted part"])
+def test_a_file_that_is_larger_than_the_plan_warrants_is_not_even_hashed(folder, monkeypatch, capsys, kind):
+    """A listed file of 1 TB, all of it a hole that takes no room."""
+    entries = manifest.read_manifest(folder)
+    entry = next(one for one in entries if bool(one.batches) == ("part" in kind))
+    with (folder / entry.file).open("ab") as file:
+        file.truncate(2**40)
+    left = [one for one in entries if one != entry]
+    manifest.rewrite_manifest(folder, left if kind == "unlisted part" else [*left, replace(entry, length=2**40)])
+
+    def digest_file(path):
+        assert path.stat().st_size < 2**40
+        return files.digest(path.read_bytes())
+
+    monkeypatch.setattr(files, "digest_file", digest_file)
+    assert main(["verify", str(folder)]) == (0 if kind == "unlisted part" else 4)
+    assert kind != "part" or "more than the" in capsys.readouterr().out
+    assert main(["status", str(folder)]) == (0 if kind == "unlisted part" else 2)
+    assert main(["run", *STUDY, f"out={folder}"]) == 0
+    assert len(store.read_rows(folder)) == 56
+
+
+@pytest.mark.parametrize("kind", ["points", "part"])
+def test_a_table_with_more_rows_than_the_plan_is_refused_before_it_is_read(folder, monkeypatch, capsys, kind):
+    entry = next(one for one in manifest.read_manifest(folder) if bool(one.batches) == (kind == "part"))
+    path = folder / entry.file
+    table = pq.read_table(path)
+    pq.write_table(pa.concat_tables([table] * 2000), path)
+    list_as(folder, entry, path)
+    with monkeypatch.context() as patch:
+        patch.setattr(pq, "ParquetFile", None)  # nothing may be decoded
+        if kind == "part":
+            patch.setattr(store, "read_points", lambda *args: pd.read_parquet(folder / manifest.POINTS_FILE))
+        assert main(["status", str(folder)]) == 2
+    told = capsys.readouterr()
+    one_line(told.err, f"{path} is not allowed: it has {len(table) * 2000:,} rows; the study's plan allows")
+    assert not told.out

@@ -22,6 +22,9 @@ SUBFOLDERS = (PARTS_FOLDER, HISTORIES_FOLDER, LAST_STATES_FOLDER)  # of files th
 FILE_NAME = re.compile(rf"({'|'.join(SUBFOLDERS)})/\w[\w.-]{{,200}}", re.ASCII)  # names of listed files
 MAX_NAME_LENGTH = 200  # characters of another name in messages
 DIGEST_DIGITS = 16  # digits of the digest at the start of a line
+# a listed file has at most so many bytes, and so many more for each rollout of its study: in a table of rollouts, and
+# in a recording of ticks
+FIXED_BYTES, BYTES_PER_ROLLOUT, BYTES_PER_RECORDING = 2**26, 2**15, 2**26
 RETRY_PAUSES = (0.01, 0.05, 0.2, 0.5)  # s, in which another command may finish the last line
 
 
@@ -37,10 +40,28 @@ class ManifestEntry:
     labels: str = ""  # digest of the thresholds that judged the rows
     run_ids: tuple[str, ...] = ()  # ids of the runs of its rows
 
-    def find_problem(self, path: Path) -> str | None:
-        """Compare a file with this manifest entry; return what differs, or None. Raises `OSError`."""
+    def largest_length(self, rollouts: int) -> int:
+        """Return the largest size (bytes) that the file can have if its study plans `rollouts` rollouts."""
+        is_table = self.batches or self.file == POINTS_FILE
+        return FIXED_BYTES + rollouts * (BYTES_PER_ROLLOUT if is_table else BYTES_PER_RECORDING)
+
+    def find_problem(self, path: Path, rollouts: int) -> str | None:
+        """Compare a file with this manifest entry.
+
+        Args:
+            path: The file. It is not read if it is larger than its study warrants, such as 1 TB of zeros.
+            rollouts: How many rollouts its study plans.
+
+        Returns:
+            What differs, or None.
+
+        Raises:
+            OSError: The file cannot be read.
+        """
         if (length := path.stat().st_size) != self.length:
             return f"{length} bytes instead of {self.length}"
+        if length > (most := self.largest_length(rollouts)):
+            return f"{length:,} bytes, more than the {most:,} that {rollouts:,} planned rollouts can take"
         return None if files.digest_file(path) == self.sha256 else "its content has changed"
 
 

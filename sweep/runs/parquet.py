@@ -21,6 +21,7 @@ arrow_compute: Any = pyarrow.compute  # whose functions exist only once it is im
 # a file may expand to ALWAYS_ALLOWED bytes; to more only up to MAX_RATIO times its size, and never beyond MAX_EXPANSION
 ALWAYS_ALLOWED, MAX_EXPANSION, MAX_RATIO = 256 * 2**20, 64 * 2**30, 1000
 FEW_PAGES, LEAST_PAGE = 10_000, 256  # a file may have FEW_PAGES pages; more only of LEAST_PAGE bytes on average
+MAX_COLUMNS = 10_000  # columns of a table
 FEW_ROWS = 1_000_000  # a table of rollouts may have as many rows; more only with a byte for each, as ids take 8
 BYTES_BY_TYPE = {
     "BOOLEAN": 1,
@@ -37,13 +38,16 @@ PRINTABLE = (
 )
 
 
-def read_parquet(path: Path, columns: Sequence[str] | None = None, has_row_names: bool = False) -> pa.Table:
+def read_parquet(
+    path: Path, columns: Sequence[str] | None = None, has_row_names: bool = False, max_rows: int | None = None
+) -> pa.Table:
     """Read a table of numbers and words, as result folders hold them.
 
     Args:
         path: The file. Columns that are not asked for are not read.
         columns: Names of the columns to read, in this order; None for all. Those that the file lacks are left out.
         has_row_names: Whether each row has an id of its own, as rollouts do and samples of a rollout do not.
+        max_rows: Largest number of rows; None for any.
 
     Returns:
         The table, with words as Arrow strings.
@@ -57,6 +61,10 @@ def read_parquet(path: Path, columns: Sequence[str] | None = None, has_row_names
             if has_row_names and metadata.num_rows > max(FEW_ROWS, size):
                 raise InputError(
                     f"{path} is not allowed: its {size:,} bytes do not name {metadata.num_rows:,} rollouts"
+                )
+            if max_rows is not None and metadata.num_rows > max_rows:
+                raise InputError(
+                    f"{path} is not allowed: it has {metadata.num_rows:,} rows; the study's plan allows {max_rows:,}"
                 )
             names = column_names(path, metadata)
             chosen = names if columns is None else [name for name in dict.fromkeys(columns) if name in names]
@@ -88,8 +96,10 @@ def column_names(path: Path, metadata: pq.FileMetaData) -> list[str]:
         metadata: The end of the file, which describes it.
 
     Raises:
-        InputError: Two columns have one name, or a column has parts.
+        InputError: There are too many, two columns have one name, or a column has parts.
     """
+    if metadata.num_columns > MAX_COLUMNS:
+        raise InputError(f"{path} is not allowed: it has {metadata.num_columns:,} columns, at most {MAX_COLUMNS:,}")
     names = [metadata.schema.column(k).path for k in range(metadata.num_columns)]
     if list(metadata.schema.names) != names:
         raise InputError(f"{path} is not allowed: it has columns with parts")

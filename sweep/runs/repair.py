@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -44,8 +45,11 @@ def verify_folder(folder: Path) -> tuple[list[str], list[str], int]:
     points = _read_sound_points(folder, entries)
     if points is None:
         problems.append(f"{folder / store.POINTS_FILE} is lost or damaged")
-    parts = {folder / entry.file: _find_problem(folder, entry, points) for entry in entries if entry.batches}
-    recordings = {folder / entry.file: _find_problem(folder, entry) for entry in entries if _is_recording(entry)}
+    planned = store.planned_rollouts(folder)
+    parts = {folder / entry.file: _find_problem(folder, entry, planned, points) for entry in entries if entry.batches}
+    recordings = {
+        folder / entry.file: _find_problem(folder, entry, planned) for entry in entries if _is_recording(entry)
+    }
     problems += [f"{path} is damaged ({problem})" for path, problem in {**parts, **recordings}.items() if problem]
     sound = list(parts.values()).count(None)
     unlisted = [
@@ -76,9 +80,9 @@ def repair_files(folder: Path, study: str, labels: str) -> list[str]:
     kept = [entry for entry in entries if entry.file == store.POINTS_FILE]
     # parts of a killed `relabel`, then damaged files; deleted below
     dropped = [entry for entry in entries if entry.batches and entry.labels != labels]
-    points = _read_sound_points(folder, entries)
+    points, planned = _read_sound_points(folder, entries), store.planned_rollouts(folder)
     for entry in (*manifest.select_current_parts(entries, labels), *filter(_is_recording, entries)):
-        if problem := _find_problem(folder, entry, points):
+        if problem := _find_problem(folder, entry, planned, points):
             remedy = "its rollouts are simulated again" if entry.batches else "`sweep replay` shows its rollouts again"
             lines.append(f"{folder / entry.file} is damaged ({problem}): {remedy}")
             dropped.append(entry)
@@ -86,7 +90,7 @@ def repair_files(folder: Path, study: str, labels: str) -> list[str]:
             kept.append(entry)
     points, has_lost_lines = _read_sound_points(folder, kept), bool(damaged) or not entries
     for path in _unlisted_files(folder, entries):
-        entry = _entry_from_metadata(folder, path)
+        entry = _entry_from_metadata(folder, path, planned)
         entry = entry if entry and entry.study == study else None
         if entry and (
             has_lost_lines if _is_recording(entry) else entry.labels == labels and _belongs(folder, entry, kept, points)
@@ -112,30 +116,33 @@ def repair_files(folder: Path, study: str, labels: str) -> list[str]:
 
 def rebuild_points(folder: Path, parts: Sequence[ManifestEntry]) -> pd.DataFrame:
     """Return the points table, rebuilt from the leading columns of finished rows."""
-    rows = pd.concat([store.read_part(folder, entry) for entry in parts], ignore_index=True)
+    planned = store.planned_rollouts(folder)
+    rows = pd.concat([store.read_part(folder, entry, planned) for entry in parts], ignore_index=True)
     return rows[list(rows.columns[: rows.columns.get_loc("run_id")])]
 
 
 def _read_sound_points(folder: Path, listed: Sequence[ManifestEntry]) -> AssignedPoints | None:
     """Return the points table, or None where it is damaged or lacks batches of the listed parts."""
     path = path_inside_folder(folder, store.POINTS_FILE)
-    if not path.exists() or not any(e.file == store.POINTS_FILE and not _find_problem(folder, e) for e in listed):
+    planned = store.planned_rollouts(folder)
+    if not store.has_listed_points(folder, listed, planned):
         return None
-    points = AssignedPoints(store.to_pandas(read_parquet(path)), str(path))
+    points = AssignedPoints(store.to_pandas(read_parquet(path, max_rows=planned)), str(path))
     return points if {b for e in listed for b in e.batches} <= points.batches() else None
 
 
-def _find_problem(folder: Path, entry: ManifestEntry, points: AssignedPoints | None = None) -> str | None:
+def _find_problem(folder: Path, entry: ManifestEntry, planned: int, points: AssignedPoints | None = None) -> str | None:
     """Describe what is wrong with a listed file, or return None; with a points table, its rows are compared too."""
     path = path_inside_folder(folder, entry.file)
     try:
-        problem = entry.find_problem(path)
+        problem = entry.find_problem(path, planned)
     except OSError as error:
         return files.os_error_text(error)
     if problem or points is None or not entry.batches:
         return problem
     try:
-        rows = store.to_pandas(read_parquet(path, list(points.rows.columns)))
+        columns, most = list(points.rows.columns), planned + store.FEW_SURPLUS_ROWS
+        rows = store.to_pandas(read_parquet(path, columns, max_rows=most))
     except InputError as error:
         return str(error)
     return "; ".join(points.differences(rows, entry.batches)) or None
@@ -153,16 +160,17 @@ def _is_recording(entry: ManifestEntry) -> bool:
     return not entry.batches and entry.file != store.POINTS_FILE
 
 
-def _entry_from_metadata(folder: Path, path: Path) -> ManifestEntry | None:
+def _entry_from_metadata(folder: Path, path: Path, planned: int) -> ManifestEntry | None:
     """Return the entry of a part that is not listed, from its own metadata; None where it is no part or was changed."""
     try:
         path = path_inside_folder(folder, path.relative_to(folder))
-        sha256 = files.digest_file(path)
-        if not path.stem.endswith(f"-{sha256[:12]}"):
-            return None
         about = json.loads(pq.read_schema(path).metadata[store.METADATA_KEY])
-        place = {"file": f"{path.parent.name}/{path.name}", "length": path.stat().st_size, "sha256": sha256}
-        return manifest.entry_from_json({**about, **place})
+        place = {"file": f"{path.parent.name}/{path.name}", "length": path.stat().st_size}
+        entry = manifest.entry_from_json({**about, **place, "sha256": ""})
+        if path.stat().st_size > entry.largest_length(planned):
+            return None
+        sha256 = files.digest_file(path)
+        return replace(entry, sha256=sha256) if path.stem.endswith(f"-{sha256[:12]}") else None
     except (OSError, ValueError, KeyError, TypeError, RecursionError, pa.ArrowException):  # `InputError` among them
         return None
 
@@ -204,7 +212,7 @@ def merge_small_parts(folder: Path, planned: pd.DataFrame) -> None:
     merged = {}
     for run in _mergeable_runs(parts, planned):
         if len(run) >= MIN_MERGED_PARTS:
-            table = pa.concat_tables([store.read_table(folder, entry) for entry in run])
+            table = pa.concat_tables([store.read_table(folder, entry, planned=len(planned)) for entry in run])
             merged[run[0].file] = store.write_table(folder, table, run[0].study, run[0].labels)
             merged |= dict.fromkeys((entry.file for entry in run[1:]), None)
     if merged:

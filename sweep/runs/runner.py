@@ -345,7 +345,7 @@ def list_finished_part(job: Job, done: "FinishedBatch", entry: ManifestEntry) ->
         one.study for one in done.recordings
     } - {job.study_digest}:
         raise Fault(f"{done.host} simulated batch {done.batch} of another study, or judged it by other thresholds")
-    rows = store.read_table(job.folder, entry, PROGRESS_COLUMNS).to_pandas()
+    rows = store.read_table(job.folder, entry, PROGRESS_COLUMNS, len(job.table)).to_pandas()
     manifest.append_entries(job.folder, *limit_last_states(job.folder, done.recordings), entry)
     return rows
 
@@ -580,7 +580,7 @@ def relabel(folder: Path, outcome: Mapping[str, Any]) -> None:
     unfinished = [e for e in manifest.read_manifest(folder) if e.batches and e not in before]  # of a killed `relabel`
     repair.remove_parts(folder, unfinished)
     for entry in before:
-        rows = store.read_part(folder, entry)
+        rows = store.read_part(folder, entry, stored["rollouts"])
         figures = {name: rows[name].to_numpy() for name in metric_columns(rows)}
         judged = exp.system.judge(figures, exp.thresholds, tuple(stored["stages"][int(rows["group"].iloc[0])]))
         manifest.append_entries(folder, store.write_part(folder, rows.assign(**judged), entry.study, labels))

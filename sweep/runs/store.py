@@ -26,6 +26,7 @@ from sweep.runs import manifest
 from sweep.runs.manifest import PARTS_FOLDER, POINTS_FILE, SUBFOLDERS, ManifestEntry
 from sweep.runs.parquet import check_expansion, column_names, decoded_schema, read_parquet
 from sweep.runs.points_check import KEY_COLUMNS, AssignedPoints
+from sweep.study.designs import MAX_ROLLOUTS
 
 # reads a million rows in 2 s of CPU time; Arrow's own pool takes 8 s
 pa.set_memory_pool(pa.system_memory_pool())
@@ -33,6 +34,7 @@ STUDY_FILE, LOG_FILE, LOCK_FILE = project.STUDY_FILE, "log.txt", ".lock"
 HISTORIES_FOLDER, LAST_STATES_FOLDER = manifest.HISTORIES_FOLDER, manifest.LAST_STATES_FOLDER
 FOLDER_FORMAT = 2  # of the folder
 MAX_STUDY_FILE_BYTES = 2**24  # bytes of study.yaml
+FEW_SURPLUS_ROWS = 10_000  # rows beyond the plan that are read, so that messages can name some
 COLUMNS_PER_JOIN = 16  # columns that are joined from all parts at once
 # of study.yaml, beside the format
 STUDY_KEYS = {"config": dict, "rollouts": int, "labels": str, "stages": dict, "devices": list, "code": str,
@@ -131,6 +133,17 @@ def read_study(folder: Path) -> dict[str, Any]:
     return content
 
 
+def planned_rollouts(folder: Path) -> int:
+    """Return how many rollouts `study.yaml` plans, which bounds the size of a folder's files.
+
+    Where it is lost or damaged, return the most that a study may have.
+    """
+    try:
+        return min(read_study(folder)["rollouts"], MAX_ROLLOUTS)
+    except DamagedFile:
+        return MAX_ROLLOUTS
+
+
 def digest(values: Any) -> str:
     """Return a digest of plain values as 16 hexadecimal digits."""
     return files.digest(json.dumps(values, sort_keys=True).encode())[:16]
@@ -144,6 +157,25 @@ def write_points(folder: Path, points: pd.DataFrame) -> None:
     if entry not in manifest.read_manifest(folder):
         manifest.append_entries(folder, entry)
     files.write_atomically(path_inside_folder(folder, POINTS_FILE), content)
+
+
+def has_listed_points(folder: Path, entries: Sequence[ManifestEntry], planned: int) -> bool:
+    """Return whether a folder has a points table that its manifest lists.
+
+    Args:
+        folder: Results folder of a study.
+        entries: Entries of its manifest.
+        planned: How many rollouts the study plans.
+    """
+    path = path_inside_folder(folder, POINTS_FILE)
+    try:
+        length = path.stat().st_size
+        listed = [entry for entry in entries if entry.file == POINTS_FILE and entry.length == length]
+        if not listed or length > listed[0].largest_length(planned):
+            return False
+        return files.digest_file(path) in {entry.sha256 for entry in listed}
+    except OSError:
+        return False
 
 
 def read_points(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFrame:
@@ -162,11 +194,10 @@ def read_points(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFr
     path = path_inside_folder(folder, POINTS_FILE)
     if not path.exists():
         return pd.DataFrame()
-    listed = [entry for entry in manifest.read_manifest(folder) if entry.file == POINTS_FILE]
-    content = path.stat().st_size, files.digest_file(path)
-    if content not in [(entry.length, entry.sha256) for entry in listed]:
+    planned = planned_rollouts(folder)
+    if not has_listed_points(folder, manifest.read_manifest(folder), planned):
         raise DamagedFile(f"{path} is damaged: repeat the same `sweep run` to repair it")
-    return read_parquet(path, columns, has_row_names=True).to_pandas()
+    return read_parquet(path, columns, has_row_names=True, max_rows=planned).to_pandas()
 
 
 def to_pandas(table: pa.Table) -> pd.DataFrame:
@@ -284,17 +315,18 @@ def count_rollouts(folder: Path) -> tuple[int, int]:
     return len(planned), int(planned["batch"].isin(finished_batches(folder)).sum())
 
 
-def read_part(folder: Path, entry: ManifestEntry) -> pd.DataFrame:
+def read_part(folder: Path, entry: ManifestEntry, planned: int | None = None) -> pd.DataFrame:
     """Return the rows in one file.
 
     Args:
         folder: Folder of the study.
         entry: The part's entry in the manifest.
+        planned: How many rollouts the study plans; None reads it, which takes time in a loop.
 
     Raises:
         InputError: The file is missing or not as listed.
     """
-    return read_table(folder, entry).to_pandas()
+    return read_table(folder, entry, planned=planned).to_pandas()
 
 
 def last_seconds_per_rollout(folder: Path) -> float | None:
@@ -306,25 +338,30 @@ def last_seconds_per_rollout(folder: Path) -> float | None:
         return None
 
 
-def read_table(folder: Path, entry: ManifestEntry, columns: Sequence[str] | None = None) -> pa.Table:
+def read_table(
+    folder: Path, entry: ManifestEntry, columns: Sequence[str] | None = None, planned: int | None = None
+) -> pa.Table:
     """Read a file that the manifest lists as an Arrow table.
 
     Args:
         folder: Results folder of a study.
         entry: Its entry in the manifest.
         columns: Names of the columns to read; None for all. Those that the file lacks are left out.
+        planned: How many rollouts the study plans; None reads it, which takes time in a loop.
 
     Raises:
         InputError: The file is not what is listed, or not allowed.
     """
     path = path_inside_folder(folder, entry.file)
+    planned = planned_rollouts(folder) if planned is None else planned
     try:
-        problem = entry.find_problem(path)
+        problem = entry.find_problem(path, planned)
     except OSError as error:
         problem = files.os_error_text(error)
     if problem:
         raise InputError(f"{path} is damaged ({problem}): repeat the same `sweep run` to simulate it again")
-    return read_parquet(path, columns, has_row_names=bool(entry.batches))
+    is_part = bool(entry.batches)
+    return read_parquet(path, columns, is_part, planned + FEW_SURPLUS_ROWS if is_part else None)
 
 
 def read_rows(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFrame:
@@ -390,7 +427,7 @@ def iterate_parts(folder: Path, columns: Sequence[str] | None = None) -> Iterato
     while todo:
         entry = parts[0]
         try:
-            table = read_table(folder, entry, wanted)
+            table = read_table(folder, entry, wanted, len(points.rows))
         except InputError:
             now = [one for one in list_current_parts(folder) if todo.intersection(one.batches)]
             if now == parts:

@@ -142,7 +142,8 @@ def read_histories(folder: Path) -> pd.DataFrame:
     entries = store.list_recordings(folder, store.HISTORIES_FOLDER)
     if not entries:
         raise InputError(f"{folder} holds no time series: run the study with study.keep=[tilt_deg]")
-    return pd.concat([store.read_part(folder, entry) for entry in entries], ignore_index=True)
+    planned = store.planned_rollouts(folder)
+    return pd.concat([store.read_part(folder, entry, planned) for entry in entries], ignore_index=True)
 
 
 def write_recordings(

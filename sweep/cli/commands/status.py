@@ -23,10 +23,11 @@ def run(args: argparse.Namespace) -> int:
 
     stored = store.read_study(args.dir)
     _, done = store.count_rollouts(args.dir)
+    exp = results.load_experiment(args.dir) if done else None
+    rows = store.read_rows(args.dir, None if exp.study.is_adaptive else ["outcome", "cause"]) if exp else None
+    # only now are the rows compared with the plan
     print(f"{args.dir}: {done} of {stored['rollouts']} rollouts done, code {stored['commit'] or stored['code']}")
-    if done:
-        exp = results.load_experiment(args.dir)
-        rows = store.read_rows(args.dir, None if exp.study.is_adaptive else ["outcome", "cause"])
+    if exp is not None and rows is not None:
         meanings = exp.system.cause_meanings(exp.thresholds)
         if exp.study.is_adaptive:
             print(study_headline(rows, exp))
