@@ -6,6 +6,7 @@ import pandas as pd
 import pytest
 from fake_engine import FakeEngine
 from scipy.stats import binom
+from small_study import one_line
 
 from sweep.analysis import certify
 from sweep.cli.certification import format_certificate
@@ -187,5 +188,22 @@ def test_a_map_is_no_sample_to_certify(fake_engine, tmp_path, monkeypatch, capsy
         )
         == 0
     )
+    capsys.readouterr()
     assert main(["certify", "m"]) == 2
-    assert "has no independent draws" in capsys.readouterr().err
+    one_line(capsys.readouterr().err, "walk_map has 30 rollouts (the points were chosen: no random sample)")
+
+
+def test_certify_counts_draws_as_stats_does(fake_engine, tmp_path, capsys):
+    axis = "+study.axes.f={path: contact.friction, side: world, distribution: {kind: uniform, from: 0.2, to: 1.2}}"
+    study = ["scenario=walk_tripod", "scenario.expect=[]", "study.design.num=8", axis]
+    for more, told in (
+        (["study.replicates=3"], "24 rollouts (8 independent draws)"),
+        (["study.design.kind=latin_hypercube"], "8 rollouts (8 draws, spread more evenly than independent ones)"),
+    ):
+        out = str(tmp_path / told[:2].strip())
+        assert main(["run", *study, *more, f"out={out}"]) == 0
+        capsys.readouterr()
+        assert main(["certify", out]) == 2
+        one_line(capsys.readouterr().err, told)
+        assert main(["stats", out]) == 0
+        assert told.partition("(")[2].removesuffix(")") in capsys.readouterr().out

@@ -32,7 +32,6 @@ from scipy.stats import beta, binom, norm
 from sweep.analysis import compare, failing, sampling_units, screening, sensitivity, sequential
 from sweep.analysis.sample import is_random_sample, pooled_rate
 from sweep.core.errors import InputError
-from sweep.report.headline import describe_sample_size
 from sweep.report.statistics import sensitivity_methods
 from sweep.runs import refine
 from sweep.study import design_kinds
@@ -145,7 +144,7 @@ def test_morris_has_no_p_and_its_trajectories_are_units():
     units = sampling_units.unit_numbers(rows, exp)
     assert units is not None
     assert np.bincount(units).tolist() == [9] * 50
-    assert describe_sample_size(rows, exp) == "50 independent trajectories"
+    assert sampling_units.describe_sample_size(rows, exp) == "50 independent trajectories"
 
 
 def test_an_index_of_draws_that_agree_names_what_is_lacking():

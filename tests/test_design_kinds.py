@@ -9,9 +9,12 @@ import pytest
 from small_study import one_line
 from test_arrows import MODULES, ROOMS, imported, room
 
+from sweep.analysis.intervals import wilson
+from sweep.analysis.sample import pooled_rate
 from sweep.cli.main import main
 from sweep.core import project, provenance
 from sweep.runs import store
+from sweep.runs.results import load_experiment
 from sweep.study import design_kinds
 from sweep.study.design_kinds.base import Design
 
@@ -70,8 +73,13 @@ def test_a_project_adds_a_design_in_one_file(home, capsys):
     rows = store.read_rows(home / "own").sort_values("replicate")
     shares = (rows["world.contact.friction"].to_numpy() - 0.2).reshape(4, 2)
     np.testing.assert_allclose(shares.sum(axis=1) % 1, 0.5)
-    assert main(["stats", "own"]) == 0
     capsys.readouterr()
+    assert main(["stats", "own"]) == 0
+    assert "4 independent pairs" in capsys.readouterr().out
+    alike = rows.assign(outcome=np.where(rows["replicate"] // 2 == 0, "failure", "success"))  # both of a pair
+    found = pooled_rate(alike, load_experiment(home / "own"))
+    four = wilson(3, 4)  # the interval of 8 draws would begin at 0.41
+    assert found.low <= four.low < four.high - 0.01 <= found.high
     assert main([*here, "study.design.centre=0.75"]) == 2  # rows of other settings
     one_line(capsys.readouterr().err, "study.design.centre")
     assert main([*here, "study.design.centre=0.25", "study.design.num=8"]) == 0

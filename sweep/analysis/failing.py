@@ -17,7 +17,7 @@ from jaxtyping import Float
 from sweep.analysis.intervals import CONFIDENCE_LEVEL
 from sweep.analysis.rare import weights_of_draws_and_failures
 from sweep.analysis.sample import sample_indices
-from sweep.analysis.sampling_units import draw_ids
+from sweep.analysis.sampling_units import interval_units
 from sweep.analysis.sensitivity import drawn_axes, listed_axes
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
@@ -57,8 +57,8 @@ def shapley_failure_shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     plain, failing = _weighted(rows, exp)
     bad, good = (_chosen(weight) for weight in (failing, np.where(rows["outcome"] == "success", plain, 0.0)))
     used = np.concatenate([bad, good])
-    # rows of one draw are no evidence of their likeness
-    unit = np.arange(len(used)) if exp.study.is_adaptive else draw_ids(rows, exp)[used]
+    # rows of one unit are no evidence of their likeness
+    unit = np.arange(len(used)) if exp.study.is_adaptive else interval_units(rows, exp)[used]
     draws = [len(np.unique(part)) for part in np.split(unit, [len(bad)])]
     if min(draws) < MIN_DRAWS_PER_OUTCOME:
         raise InputError(

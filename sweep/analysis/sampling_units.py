@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from sweep.analysis.intervals import Interval, confidence_sequence, student_interval, wilson
 from sweep.analysis.stats import success_rates
 from sweep.config.experiment import Experiment
-from sweep.core.distinct_values import are_all_different, has_several_values
+from sweep.core.distinct_values import are_all_different, has_several_values, rank_distinct_values
 from sweep.study.design_kinds.base import SamplingUnit
 from sweep.study.designs import drawn_axis_names
 from sweep.study.study import Study, parameter_columns
@@ -68,6 +68,33 @@ def unit_numbers(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
     return draws if study.replicates > 1 else None
 
 
+def has_dependent_draws(study: Study) -> bool:
+    """Return whether several draws of a unit, such as those of a pair, may be alike: they are no independent evidence.
+
+    False where the design spreads the draws of a unit more evenly than independent ones, and where one draw of each
+    unit is a plain sample.
+    """
+    design, d = study.design, len(drawn_axis_names(study.axes))
+    if not has_draws(study) or design.sampling_unit.is_even:
+        return False
+    return bool(design.select_rate_draws(np.arange(design.block_size(d)), d).sum() > 1)
+
+
+def interval_units(rows: pd.DataFrame, exp: Experiment) -> np.ndarray:
+    """Return the number of the unit of each row by which `stats.success_rates` and resampling group rows.
+
+    Args:
+        rows: Rows of a study (n), with the column `replicate`.
+        exp: Its experiment.
+
+    Returns:
+        Whole numbers (n,): the independent unit, but the draw where a unit's draws are spread more evenly than
+        independent ones, and where rows are no random sample.
+    """
+    units = unit_numbers(rows, exp) if has_dependent_draws(exp.study) else None
+    return draw_ids(rows, exp) if units is None else units
+
+
 def pair_units(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
     """Return for each row the number of the independent unit that it belongs to when two runs of the same rows are
     compared.
@@ -113,11 +140,29 @@ def interval_method(study: Study) -> str:
 
 
 def draw_interval_method(study: Study) -> str:
-    """Return the name of the method of success-rate intervals that count each draw as one observation, for captions."""
+    """Name the method of the intervals of `stats.success_rates` by `interval_units`, for captions."""
     if study.budget:
         return "confidence sequence"
-    repeated = study.replicates > 1 and has_draws(study)
-    return "Korn-Graubard, by draw" if repeated else "Wilson"
+    if has_dependent_draws(study):
+        return f"Korn-Graubard, by {study.design.sampling_unit.name}"
+    return "Korn-Graubard, by draw" if study.replicates > 1 and has_draws(study) else "Wilson"
+
+
+def describe_sample_size(rows: pd.DataFrame, exp: Experiment) -> str:
+    """State how many independent observations the rows of a study are, or that they are no random sample.
+
+    Args:
+        rows: Rows of the study, with the column `replicate`.
+        exp: Its experiment.
+    """
+    units = unit_numbers(rows, exp)
+    number = 0 if units is None else rank_distinct_values(units).max(initial=-1) + 1
+    if number <= 1:  # one replicate of a grid is the grid
+        return "the points were chosen: no random sample" if len(rows) > 1 else "a single rollout"
+    unit = independent_unit(exp.study)
+    if unit.is_independent:
+        return f"{number:,} independent {unit.plural}"
+    return f"{number:,} {unit.plural}, spread more evenly than independent ones"
 
 
 def condition_rates(
@@ -139,10 +184,10 @@ def condition_rates(
         the draws of a unit evenly, it is Student's t interval of the units' rates, or that of independent draws if all
         rates are equal. Else see `stats.success_rates`.
     """
-    study, draws = exp.study, draw_ids(rows, exp)
+    study, units = exp.study, interval_units(rows, exp)
     if study.budget:
-        return success_rates(rows, by, confidence_sequence, draws)
-    table = success_rates(rows, by, interval, draws)
+        return success_rates(rows, by, confidence_sequence, units)
+    table = success_rates(rows, by, interval, units)
     if not independent_unit(study).is_even or table.empty:
         return table
     parts = success_rates(rows.assign(unit=unit_numbers(rows, exp)), [*by, "unit"])

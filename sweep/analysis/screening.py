@@ -5,7 +5,7 @@ import pandas as pd
 from scipy.stats import binom
 
 from sweep.analysis.intervals import CONFIDENCE_LEVEL
-from sweep.analysis.sampling_units import draw_ids
+from sweep.analysis.sampling_units import draw_ids, has_dependent_draws
 from sweep.analysis.sensitivity import (
     MIN_RARER_OUTCOMES,
     count_rarer_outcome,
@@ -112,6 +112,11 @@ def _sample(
     if not exp.study.design.follows_distributions or not names:
         kinds = design_kinds.list_kinds(lambda kind: kind.follows_distributions)
         raise InputError(f"{what} a study with draws of design.kind = {', '.join(kinds)}")
+    if has_dependent_draws(exp.study):
+        raise InputError(
+            f"{what} draws that do not depend on each other, unlike those of a unit of design.kind = "
+            f"{exp.study.design.kind}"
+        )
     if conditions := listed_axes(rows, exp):
         raise InputError(f"{what} one grid point: choose among {', '.join(a.column for a in conditions)}")
     value = sensitivity_response(rows, figure)

@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from sweep.analysis.intervals import CONFIDENCE_LEVEL, Interval, clopper_pearson, student_interval
-from sweep.analysis.sampling_units import condition_rates, draw_ids
+from sweep.analysis.sampling_units import condition_rates, draw_ids, has_dependent_draws, interval_units
 from sweep.analysis.stats import success_rates
 from sweep.config.experiment import Experiment
 from sweep.core.distinct_values import are_all_different, has_several_values
@@ -349,7 +349,7 @@ def tolerated_errors(rows: pd.DataFrame, exp: Experiment, probability: float = 0
         size, success = distance[valid], (part["outcome"] == "success").to_numpy()[valid]
         if size.max(initial=0) <= 1e-12:
             continue
-        fit, unit = fit_logistic(size, success), draw_ids(part, exp)[valid]
+        fit, unit = fit_logistic(size, success), interval_units(part, exp)[valid]
         x = max(fit.x_at_probability(probability)[0], 0.0)
         band = condition_rates(part[valid].assign(distance=size.round(12)), exp, ["distance"], clopper_pearson)
         low, high = _crossing(band, probability)
@@ -398,7 +398,7 @@ def regional_sensitivity(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     invalid = int((~good & ~bad).sum())
     draws = draw_ids(rows, exp)
     repeated = not are_all_different(draws[good | bad])
-    plain = exp.study.design.follows_distributions
+    plain = exp.study.design.follows_distributions and not has_dependent_draws(exp.study)
     lines = []
     for axis in numeric_axes(rows, drawn_axes(rows, exp)):
         good_ones, bad_ones = rows[axis.column][good], rows[axis.column][bad]

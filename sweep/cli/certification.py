@@ -12,7 +12,7 @@ import pandas as pd
 
 from sweep.analysis import certify, sensitivity
 from sweep.analysis.intervals import clopper_pearson
-from sweep.analysis.sampling_units import has_draws
+from sweep.analysis.sampling_units import describe_sample_size, has_draws
 from sweep.analysis.stats import format_percent
 from sweep.cli.run_progress import report_progress
 from sweep.config.experiment import Experiment, build_experiment
@@ -82,7 +82,8 @@ def drawn_parameter_columns(exp: Experiment, rows: pd.DataFrame) -> list[str]:
     if not (has_draws(own) and own.design.has_independent_draws) or own.replicates > 1 or own.is_refined:
         kinds = " or ".join(design_kinds.list_kinds(lambda kind: kind.has_independent_draws))
         raise InputError(
-            f"{own.name} has no independent draws: certify needs study.design.kind = {kinds}, replicates = 1"
+            f"certify needs one rollout of each independent draw: study.design.kind = {kinds}, replicates = 1; "
+            f"{own.name} has {len(rows):,} rollouts ({describe_sample_size(rows, exp)})"
         )
     if listed := sensitivity.listed_axes(rows, exp):
         raise InputError(f"axis {listed[0].name} has listed values: certify needs a distribution for every axis")

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from sweep.analysis import compare, sensitivity
 from sweep.analysis.compare import SECOND_RUN_MARK
 from sweep.analysis.sample import is_random_sample
-from sweep.analysis.sampling_units import draw_ids, draw_interval_method, interval_method
+from sweep.analysis.sampling_units import draw_interval_method, interval_method, interval_units
 from sweep.analysis.stats import bin_values, format_percent, success_rate, success_rates
 from sweep.core.distinct_values import count_distinct
 from sweep.core.plot_style import COLUMN_WIDTH_IN, PAGE_WIDTH_IN, fit_ticks, legend_below, new_figure, use_whole_ticks
@@ -118,8 +118,8 @@ def effects_figure(results: Results) -> Iterator[StudyFigure]:
             value = results.rows[axis]
             if count_distinct(value, EFFECT_VALUES) > EFFECT_VALUES:
                 value, in_bins = bin_values(value, EFFECT_BINS), True
-            draws = draw_ids(results.rows, results.exp)
-            found = success_rates(results.rows.assign(value=value), [*by, "value"], unit=draws).assign(axis=axis)
+            units = interval_units(results.rows, results.exp)
+            found = success_rates(results.rows.assign(value=value), [*by, "value"], unit=units).assign(axis=axis)
             if not is_random_sample(results.rows, results.exp, (axis, *by)):
                 found[["low", "high"]] = np.nan
             tables.append(found)
@@ -171,7 +171,7 @@ def _draw_fits(results: Results, spots: dict[str, Axes]) -> None:
             if (most := np.abs(away[here]).max(initial=0)) > 0:
                 success = rows["outcome"].to_numpy()[here] == "success"
                 fit = sensitivity.fit_logistic(np.abs(away[here]), success)
-                unit = draw_ids(rows[here], results.exp)
+                unit = interval_units(rows[here], results.exp)
                 if sensitivity.goodness_of_fit_p(fit, np.abs(away[here]), success, unit) < MAX_REJECTED_P:
                     continue
                 size = np.linspace(0, most, 50)

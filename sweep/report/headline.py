@@ -5,10 +5,8 @@ import pandas as pd
 
 from sweep.analysis import rare
 from sweep.analysis.sample import pooled_rate
-from sweep.analysis.sampling_units import independent_unit, unit_numbers
 from sweep.analysis.stats import format_percent
 from sweep.config.experiment import Experiment
-from sweep.core.distinct_values import rank_distinct_values
 from sweep.core.errors import InputError, escape_control_characters
 
 
@@ -48,15 +46,6 @@ def describe_main_failure(rows: pd.DataFrame, exp: Experiment) -> str:
     meaning = exp.system.cause_meanings(exp.thresholds).get(name, "unknown cause")
     share = f"{number:,} of {total:,} failures, {format_percent(number / total)}"
     return f"most frequent failure: {escape_control_characters(name)} ({share}): {meaning}"
-
-
-def describe_sample_size(rows: pd.DataFrame, exp: Experiment) -> str:
-    """State how many independent observations the rows of a study are, or that they are no random sample."""
-    units = unit_numbers(rows, exp)
-    number = 0 if units is None else rank_distinct_values(units).max(initial=-1) + 1
-    if number <= 1:  # one replicate of a grid is the grid
-        return "the points were chosen: no random sample" if len(rows) > 1 else "a single rollout"
-    return f"{number:,} independent {independent_unit(exp.study).plural}"
 
 
 def probability_of_failure(rows: pd.DataFrame, exp: Experiment) -> str:

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from sweep.analysis import sensitivity
 from sweep.analysis.intervals import confidence_sequence, wilson
 from sweep.analysis.sample import is_random_sample
-from sweep.analysis.sampling_units import draw_ids
+from sweep.analysis.sampling_units import interval_units
 from sweep.analysis.stats import bin_values, success_rates
 from sweep.core.distinct_values import count_distinct, has_several_values
 from sweep.core.plot_style import COLUMN_WIDTH_IN, PAGE_WIDTH_IN, new_figure, wrap_text
@@ -192,7 +192,7 @@ def cell_rates(results: Results, rows: pd.DataFrame, by: list[str], axes: list[s
         The table of `stats.success_rates`; `low` and `high` are NaN where the rows of a cell are no sample.
     """
     study = results.exp.study
-    unit = draw_ids(rows, results.exp) if rows["replicate"].notna().all() else None
+    unit = interval_units(rows, results.exp) if rows["replicate"].notna().all() else None
     table = success_rates(rows, by, confidence_sequence if study.budget else wilson, unit)
     return table if is_random_sample(rows, results.exp, axes) else table.assign(low=np.nan, high=np.nan)
 

@@ -9,13 +9,13 @@ import pandas as pd
 from sweep.analysis import failing, rare, screening, sensitivity
 from sweep.analysis.axis_effects import compare_along_axes
 from sweep.analysis.sample import drop_repeated_rollouts, pooled_rate
-from sweep.analysis.sampling_units import condition_rates, draw_ids, interval_method
+from sweep.analysis.sampling_units import condition_rates, describe_sample_size, draw_ids, interval_method
 from sweep.analysis.sensitivity import MIN_RARER_OUTCOMES
 from sweep.analysis.stats import format_percent
 from sweep.config.experiment import Experiment
 from sweep.core.distinct_values import rank_distinct_values
 from sweep.core.errors import InputError
-from sweep.report.headline import describe_main_failure, describe_sample_size, study_headline
+from sweep.report.headline import describe_main_failure, study_headline
 from sweep.report.labels import heading
 from sweep.report.tables import markdown_table
 from sweep.runs import refine

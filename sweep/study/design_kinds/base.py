@@ -37,6 +37,8 @@ class SamplingUnit(NamedTuple):
     # whether draws of a unit are spread more evenly than independent ones: intervals then follow from the spread
     # between units, and a test that takes draws for independent is safe
     is_even: bool = False
+    # whether units are independent of each other, rather than spread more evenly over the axes
+    is_independent: bool = True
 
     @property
     def plural(self) -> str:
@@ -45,6 +47,7 @@ class SamplingUnit(NamedTuple):
 
 
 DRAW = SamplingUnit("draw")  # with all its replicates and grid points
+EVEN_DRAW = SamplingUnit("draw", is_independent=False)  # likewise, of a design whose draws fill space evenly
 
 
 class Sensitivity(StrEnum):

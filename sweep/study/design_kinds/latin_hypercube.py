@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sweep.study.design_kinds.base import Design, DrawContext
+from sweep.study.design_kinds.base import EVEN_DRAW, Design, DrawContext, SamplingUnit
 
 
 class LatinHypercube(Design):
@@ -14,6 +14,11 @@ class LatinHypercube(Design):
     meaning: ClassVar[str] = "rates and means with less scatter; the number of draws is fixed"
     position: ClassVar[int] = 1
     growing_settings: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def sampling_unit(self) -> SamplingUnit:
+        """Return the draw as the unit. Draws share the strata of each axis between them."""
+        return EVEN_DRAW
 
     def sample(self, ctx: DrawContext) -> np.ndarray:
         """Draw one point in each stratum of every axis."""

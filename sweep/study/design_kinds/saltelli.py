@@ -28,8 +28,8 @@ class Saltelli(Design):
 
     @property
     def sampling_unit(self) -> SamplingUnit:
-        """The block, which is the unit drawn independently."""
-        return SamplingUnit("block")
+        """Return the block as the unit. Blocks are of one Sobol sequence."""
+        return SamplingUnit("block", is_independent=False)
 
     def block_size(self, d: int) -> int:
         """Return the number of draws in a block: d + 2."""

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from sweep.core.errors import InputError
-from sweep.study.design_kinds.base import DRAW, Design, DrawContext, SamplingUnit
+from sweep.study.design_kinds.base import EVEN_DRAW, Design, DrawContext, SamplingUnit
 
 SCRAMBLE = SamplingUnit("scramble", is_even=True)
 
@@ -50,7 +50,7 @@ class Sobol(Design):
 
         One scramble has no spread. Independent draws vary more, so that their interval is safe.
         """
-        return SCRAMBLE if self.scrambles > 1 else DRAW
+        return SCRAMBLE if self.scrambles > 1 else EVEN_DRAW
 
     def count_draws(self, d: int) -> int:
         """Return the number of draws in all scrambles."""
