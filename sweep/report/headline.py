@@ -9,6 +9,8 @@ from sweep.analysis.stats import format_percent
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError, escape_control_characters
 
+PLACED_AT_BOUNDARY = "most rollouts were placed next to the boundary, so this is not the share of the region"
+
 
 def study_headline(rows: pd.DataFrame, exp: Experiment) -> str:
     """State the main result of a study in a sentence.
@@ -22,7 +24,7 @@ def study_headline(rows: pd.DataFrame, exp: Experiment) -> str:
         P(failure) with its interval: its rows are no sample, so that their share of successes is no rate.
     """
     if not exp.study.is_adaptive:
-        return str(pooled_rate(rows, exp))
+        return f"{pooled_rate(rows, exp)}{f'; {PLACED_AT_BOUNDARY}' if exp.study.is_refined else ''}"
     return f"{probability_of_failure(rows, exp)}; {describe_placed_rollouts(rows)}"
 
 

@@ -44,6 +44,8 @@ def describe_folder(folder: Path) -> dict[str, str]:
     found, config = success_rate(outcome), flatten_values(stored["config"])
     succeed = format_percent(found.share) if found.valid_count else ""
     invalid = format_percent(found.invalid_share)
+    if config.get("study.resolution") or config.get("study.budget"):  # most rollouts lie next to the boundary
+        succeed = f"{found.successes:,} rollouts" if found.valid_count else ""
     if is_adaptive_kind(config.get("study.design.kind")) and config.get("study.design.num"):
         succeed = read_failure_probability(folder) if found.total else ""
         invalid = f"{found.invalid:,}"  # of the placed rollouts, of which no share is a rate

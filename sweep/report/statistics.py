@@ -33,11 +33,6 @@ def statistics_sections(
     listed, drawn = sensitivity.listed_axes(rows, exp), sensitivity.drawn_axes(rows, exp)
     numbers = sensitivity.numeric_axes(rows, listed)
     several = len(rows) > len(rows.drop_duplicates([a.column for a in listed])) if listed else bool(drawn)
-    note = (
-        "; most rollouts were placed next to the boundary, so this is not the share of the region"
-        if exp.study.is_refined
-        else ""
-    )
     every = pooled_rate(rows, exp)
     if exp.study.is_adaptive:  # its rows are no sample of what is asked about
         yield "Probability of failure", study_headline(rows, exp)
@@ -46,7 +41,7 @@ def statistics_sections(
             yield "Failure modes by their share of P(failure)", modes
         yield from _sensitivity_tables(rows, exp)
         return
-    yield "Rate of success", f"{every}{note}{'; ' if copies else ''}{copies}"
+    yield "Rate of success", f"{study_headline(rows, exp)}{'; ' if copies else ''}{copies}"
     one_at_a_time = bool(numbers) and exp.study.design.varies_axes_alone
     if one_at_a_time:
         sure = f" ({interval_method(exp.study)}, 95 %)" if exp.study.has_repeats else ""
