@@ -18,6 +18,8 @@ from sweep.core.errors import InputError
 from sweep.core.plot_style import COLUMN_WIDTH_IN, new_figure, save_figure
 from sweep.report.tables import markdown_table
 from sweep.runs import results, store
+from sweep.study import design_kinds
+from sweep.study.design_kinds.base import AdaptiveDesign
 
 TABLE_FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)  # of the answer: sizes of the table
 CURVE_FACTORS = np.geomspace(0.1, 4.0, 15)  # of the answer: sizes of the picture
@@ -117,12 +119,13 @@ def answer_from_guess(args: argparse.Namespace, options: dict[str, Any]) -> Size
     if args.question == "rare":
         goal = options["relative"]
         size = power.rollouts_for_half_width(p, goal * p, wanted, clopper_pearson, level)
+        searches = " or ".join(design_kinds.list_kinds(lambda kind: issubclass(kind, AdaptiveDesign)))
         return SizeAnswer(
             f"interval of a failure probability of {p:g} within ±{format_percent(goal)} of it {sure}",
             size, "rollouts", 1, "expected half-width, share of the probability",
             lambda n: power.expected_half_width(n, p, clopper_pearson, level) / p,
             goal, f"exact, Clopper-Pearson interval, {format_percent(level)}",
-            ("study.design.kind=importance or subset estimates a small probability with far fewer rollouts",),
+            (f"study.design.kind={searches} estimates a small probability with far fewer rollouts",),
         )  # fmt: skip
     if args.question == "region":
         if p >= options["failures"]:
