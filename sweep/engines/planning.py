@@ -1,8 +1,8 @@
 """Planning of a batch: the plans, and the state in which each rollout starts.
 
-On a CPU, NumPy executes the traced program (`fused.eager`): it runs once for each batch and takes long to compile.
-Only its search for planned forces is compiled, by the fused compiler. On other devices, and where a rule is missing,
-XLA compiles the whole program.
+On a CPU, and for small batches on a GPU, NumPy executes the traced program (`fused.eager`): it runs once for each batch
+and takes long to compile. Only its search for planned forces is compiled, by the fused compiler. For larger batches on
+a GPU, and where a rule is missing, XLA compiles the whole program.
 """
 
 from collections.abc import Callable
