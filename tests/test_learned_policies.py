@@ -24,7 +24,11 @@ from sweep.systems.mujoco_model import policy_spec
 
 PAGE = Path(__file__).parents[1] / "docs/howto/run_a_learned_policy.md"
 GRAVITY = np.array([0.0, 0.0, -1.0])
-JOYSTICK = "preset: playground\ncommands: {velocity_x: 0.5, velocity_y: 0.0, yaw_rate: 0.1}\n"
+JOYSTICK = """preset: playground
+observation: [base_linear_velocity, base_angular_velocity, projected_gravity, joint_positions, joint_velocities,
+              last_action, command]
+commands: {velocity_x: 0.5, velocity_y: 0.0, yaw_rate: 0.1}
+"""
 GAIT = """
 observation:
   - {term: base_angular_velocity, scale: 0.25}
@@ -250,6 +254,19 @@ def test_what_exporters_write_into_the_network_counts_unless_the_file_says_other
     save_perceptron("walk.onnx", (48, 12), **{**told, "observation_names": "base_lin_vel,foot_clock"})
     with pytest.raises(InputError, match=r"observation\[1\]: foot_clock is unknown"):
         compose(["study=one"])
+
+
+def test_the_presets_of_playground_observe_action_and_phase_a_tick_late(here):
+    write_project(here, "preset: playground_gait\ncommands: {velocity_x: 0.5}\n", more=", period: 0.02", legs=1)
+    save_perceptron("walk.onnx", (23, 3), 0.1)
+    made, task = make_engine("native")
+    told = made.trace(task.world, task.belief, task.streams, 0).columns
+    for name in ("lf_roll", "lf_hip", "lf_knee"):
+        late = told[f"observation_last_action_{name}"]
+        np.testing.assert_array_equal(late[:2], 0.0)
+        np.testing.assert_array_equal(late[2:], told[f"action_{name}"][:-2])
+    ticks = np.maximum(np.arange(len(late)) - 1, 0)
+    np.testing.assert_allclose(told["observation_phase_2"], np.sin(2 * np.pi * 1.5 * 0.02 * ticks), atol=1e-9)
 
 
 def test_a_term_is_read_from_the_first_of_its_sensors_that_the_model_has(here):

@@ -20,6 +20,7 @@ from sweep.systems.mujoco_model.policy_spec import ActionSpec, PolicySpec, Recur
 
 TERM_SIZES = {"projected_gravity": 3, "base_linear_velocity": 3, "base_angular_velocity": 3, "base_height": 1,
          "base_orientation": 4}  # fmt: skip
+EARLIER_ACTIONS = "earlier actions"  # key of the policy's memory of actions before the last, newest first
 FREE_JOINT = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
@@ -162,6 +163,8 @@ def fit_policy(
         parts = [read(state) for read in readers]
         return jnp.concatenate(parts) if parts else jnp.zeros(0)
 
+    lag = max((one.spec.lag for terms in inputs.values() for one in terms if one.spec.term == "last_action"), default=0)
+
     def begin(belief: Mapping[str, Any], key: Any) -> tuple[None, dict[str, Any], None]:
         memory = {one.input: jnp.full(_recurrent_shape(network, one), one.start, float) for one in spec.recurrent}
         past = {}
@@ -172,6 +175,8 @@ def fit_policy(
                 past |= {f"{name}/{one.spec.label}": jnp.zeros((one.history, one.size))
                          for one in terms if one.history > 1}  # fmt: skip
         seen = jnp.zeros(sum(one.size for terms in inputs.values() for one in terms))
+        if lag:
+            past[EARLIER_ACTIONS] = jnp.zeros((lag, len(joints)))
         state = {"tick": jnp.int32(0), "action": jnp.zeros(len(joints)), "past": past, "memory": memory, "seen": seen}
         return None, state, None
 
@@ -203,6 +208,8 @@ def fit_policy(
                 past[name] = push(past[name], whole, tick)
                 whole = past[name].reshape(-1)
             found[name] = whole.astype(float)
+        if lag:
+            past[EARLIER_ACTIONS] = jnp.concatenate([state["action"][None], past[EARLIER_ACTIONS][:-1]])
         return found, {**state, "past": past, "seen": jnp.concatenate(present)}
 
     def policy(belief: Mapping[str, Any], seen: Any, state: Any, key: Any) -> tuple[Any, Any]:
@@ -359,12 +366,13 @@ def _compute_term(
     """Compute a term that is not measured."""
     one = term.spec
     if one.term == "last_action":
-        return state["action"]
+        return state["past"][EARLIER_ACTIONS][one.lag - 1] if one.lag else state["action"]
     if one.term == "command":
         return jnp.stack([jnp.asarray(belief[name], float) for name in one.commands or spec.commands])
     if one.term == "constant":
         return jnp.asarray(one.values, float)
-    angle = 2 * math.pi * ((one.frequency * period * state["tick"]) % 1.0) + jnp.asarray(one.offsets)
+    tick = jnp.maximum(state["tick"] - one.lag, 0)
+    angle = 2 * math.pi * ((one.frequency * period * tick) % 1.0) + jnp.asarray(one.offsets)
     waves = jnp.cos(angle), jnp.sin(angle)
     return jnp.concatenate(waves if one.order == "cos_sin" else waves[::-1])
 

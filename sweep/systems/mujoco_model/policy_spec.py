@@ -44,16 +44,19 @@ TERM_ALIASES = {  # names of training frameworks for terms
 }
 VELOCITY_COMMANDS = {"velocity_x": 1.0, "velocity_y": 0.0, "yaw_rate": 0.0}  # m/s, m/s, rad/s
 USUAL_TERM_ORDER = ("base_linear_velocity", "base_angular_velocity", "projected_gravity")
+# Playground's environments observe before they store the action and advance the phase; its scripts that play policies
+# do so after, which is a lag of 0
+LATE_ACTION = {"term": "last_action", "lag": 1}
 PRESETS: dict[str, dict[str, Any]] = {  # by the documented conventions of the frameworks' velocity tasks
     "playground": {
-        "observation": [*USUAL_TERM_ORDER, "joint_positions", "joint_velocities", "last_action", "command"],
+        "observation": [*USUAL_TERM_ORDER, "joint_positions", "joint_velocities", LATE_ACTION, "command"],
         "commands": VELOCITY_COMMANDS,
         "action": {"scale": 0.5},
         "sensors": {"base_linear_velocity": "local_linvel", "base_angular_velocity": "gyro"},
     },
     "playground_gait": {
-        "observation": [*USUAL_TERM_ORDER, "command", "joint_positions", "joint_velocities", "last_action",
-                        {"term": "phase", "frequency": 1.5, "offsets": [0.0, np.pi]}],
+        "observation": [*USUAL_TERM_ORDER, "command", "joint_positions", "joint_velocities", LATE_ACTION,
+                        {"term": "phase", "frequency": 1.5, "offsets": [0.0, np.pi], "lag": 1}],
         "commands": VELOCITY_COMMANDS,
         "action": {"scale": 0.5},
         "sensors": {"base_linear_velocity": "local_linvel_pelvis local_linvel",
@@ -84,6 +87,7 @@ class TermSpec:
     scale: Numbers = 1.0  # factor of all numbers of the term, or a list with a factor for each
     clip: tuple[float, ...] = ()  # least and largest value before scaling; empty: no limits
     history: int = 0  # number of ticks that are stacked, the present one included; 0: `history` of the policy
+    lag: int = 0  # of `last_action` and `phase`: number of ticks by which the term is late
     relative: bool = True  # whether joint positions are relative to the default pose
     joints: tuple[str, ...] = ()  # names of joints in order; by default the joints of the policy
     commands: tuple[str, ...] = ()  # names of commands in order; by default all
@@ -233,6 +237,8 @@ def parse_terms(error_prefix: str, config: Any) -> tuple[TermSpec, ...]:
         made = _build(TermSpec, {**one, "term": term}, f"{error_prefix}[{k}]")
         if bool(made.sensor) < (made.term == "sensor"):
             raise InputError(f"{error_prefix}[{k}]: a term `sensor` needs the key sensor")
+        if made.lag and made.term not in ("last_action", "phase"):
+            raise InputError(f"{error_prefix}[{k}]: lag is not allowed for {made.term}: only for last_action and phase")
         if made.term == "constant" and not made.values:
             raise InputError(f"{error_prefix}[{k}]: a term `constant` needs the key values")
         require_clip_range(f"{error_prefix}[{k}].clip", made.clip)
@@ -346,8 +352,9 @@ def _checked(one: Any, value: Any, error_prefix: str) -> Any:
             if not isinstance(value, bool):
                 raise wrong("true or false")
         case t if t is int:
-            if type(value) is not int or value < 1:
-                raise wrong("a whole number from 1 on")
+            least = int(one.name != "lag")
+            if type(value) is not int or value < least:
+                raise wrong(f"a whole number from {least} on")
         case t if t is float:
             if type(value) not in (int, float) or not np.isfinite(value) or (one.name != "start" and value <= 0):
                 raise wrong("a number" if one.name == "start" else "a number above 0")
