@@ -213,7 +213,9 @@ def test_programs_are_stored_by_structure_and_constants_but_not_by_varied_number
     Path("hold.py").write_text(
         "import jax.numpy as jnp\n\ndef policy(belief, observation, state, key):\n    return jnp.zeros(2), state\n"
     )
-    compiled, original = [], kernel_engine.kernel.compile_function
+    compiled, compared, original = [], [], kernel_engine.kernel.compile_function
+    compare = agreement.compare_accelerations
+    monkeypatch.setattr(agreement, "compare_accelerations", lambda *args: compared.append(args) or compare(*args, 8))
     monkeypatch.setattr(
         kernel_engine.kernel, "compile_function", lambda *args: compiled.append(args) or original(*args)
     )
@@ -223,7 +225,7 @@ def test_programs_are_stored_by_structure_and_constants_but_not_by_varied_number
         model = {"mjcf": "robot.xml", "controller": "hold:policy", "period": 0.004, "duration": 0.02}
         values = {
             "model": model,
-            "engine": {"name": "kernel", "cross_check": False},
+            "engine": {"name": "kernel"},
             "outcome": {"fell": "energy_j < -1"},
         }
         system, settings, *_ = build_nominal(values, {})
@@ -242,6 +244,7 @@ def test_programs_are_stored_by_structure_and_constants_but_not_by_varied_number
         assert count(text, damping, "model.joint.b0.damping") == 2
         assert count(text.replace('mass="0.5"', 'mass="0.6"'), damping) == 3
         assert count(robot(limbs(LEG[:1], BAR), joint='frictionloss="0.1"', base=""), damping) == 4
+        assert len(compared) == 3  # with C MuJoCo, each file once
     finally:
         jax.config.update("jax_compilation_cache_dir", before)
 

@@ -139,13 +139,24 @@ class KernelModelEngine(ModelEngine):
         model = self._model
         qpos, qvel, warm, ctrl = (jnp.zeros(size) for size in (model.nq, model.nv, model.nv, model.nu))
         state = read_state(self._layout, model, qpos, qvel, warm)
-        result, _ = solve_forward(self._layout, numbers, state, ctrl, (), 1)
+        result, _ = solve_forward(self._layout, numbers, state, ctrl, (), 0)  # the solver reads none
         sensors.compute_sensors(self._layout, numbers, state, result)
 
     @cached_property
     def c_mujoco_agreement(self) -> agreement.Agreement:
-        """How well accelerations agree with C MuJoCo's on random states."""
-        return agreement.compare_accelerations(self._layout, self._model, self._spec.keyframe_index)
+        """How well accelerations agree with C MuJoCo's on random states; stored beside the programs."""
+
+        def compare() -> tuple[agreement.Agreement]:
+            return (agreement.compare_accelerations(self._layout, self._model, self._spec.keyframe_index),)
+
+        key = "agreement", *self._stored_with()
+        return program_cache.load_or_compile(key, jax.local_devices()[:1], compare)[0]
+
+    def _stored_with(self) -> tuple[Any, ...]:
+        """All of the scenario that stored programs contain."""
+        spec = self._spec
+        parts = spec.pushes, spec.payloads, spec.motors, spec.schedules
+        return repr(spec.config), spec.delay_buffer, spec.action_buffer, *parts, self._settings.precision
 
     def _tick(self, varied: Any, inputs: Inputs, carry: Carry, number: Array) -> tuple[Carry, dict[str, Array]]:
         """One control tick of one rollout, whose model has numbers of its own where `varied` says so."""
@@ -357,10 +368,7 @@ class KernelModelEngine(ModelEngine):
                 except UnsupportedPrimitive as missing:
                     return (str(missing),)
 
-            spec, settings = self._spec, self._settings
-            parts = spec.pushes, spec.payloads, spec.motors, spec.schedules  # all that the program contains
-            about = (repr(spec.config), spec.delay_buffer, spec.action_buffer, *parts, settings.precision)
-            (code,) = program_cache.load_or_compile((*about, key), jax.local_devices()[:1], compile_code)
+            (code,) = program_cache.load_or_compile((*self._stored_with(), key), jax.local_devices()[:1], compile_code)
             if isinstance(code, str):
                 raise InputError(
                     f"engine.name = kernel is not allowed: the compiler has no rule for {code}, which the controller "

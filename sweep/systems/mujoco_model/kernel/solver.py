@@ -435,8 +435,10 @@ def solve_problem(problem: StepProblem, warm: Acceleration, iterations: int) -> 
     Args:
         problem: The equation.
         warm: Accelerations to begin with.
-        iterations: Iterations, at most: a rollout that has converged stays as it is.
+        iterations: Iterations, at most: a rollout that has converged stays as it is. 0 for none, which returns `warm`.
     """
+    if not iterations:
+        return problem.first_iterate(warm)
     values, rebuild = flatten_scalars(problem.first_iterate(warm))
     dtype = next(x.dtype for x in values if hasattr(x, "dtype"))
     shapes = jax.eval_shape(lambda: flatten_scalars(problem.next_iterate(rebuild(values)))[0])
