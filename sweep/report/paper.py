@@ -124,11 +124,9 @@ def write_paper(results: Results, out: Path, serif: bool = False) -> list[Path]:
 
 
 def describe_study(results: Results) -> str:
-    """Sentence that names scenario, robot or model, engine, design and number of rollouts, for captions."""
-    config, exp = results.stored["config"], results.exp
-    robot = (config.get("robot") or {}).get("name", "")
-    about = {"scenario": exp.scenario, **({"robot": robot} if robot else {})}
-    about |= exp.system.settings_summary(exp.settings)
+    """Sentence that names scenario, manoeuvre or model, engine, design and number of rollouts, for captions."""
+    exp = results.exp
+    about = {"scenario": exp.scenario, **exp.system.settings_summary(exp.settings)}
     words = ", ".join(f"{word} {value}" for word, value in about.items())
     design = exp.study.design.kind.replace("_", " ") if exp.study.design.num else "listed points"
     return f"{words[0].upper()}{words[1:]}; {design}; n = {len(results.rows):,} rollouts."
