@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 COMMAND = Command(Section.SIMULATE, "simulate a scenario, or every point of a study")
 EPILOG = f"""groups: {", ".join(GROUPS)}
   sweep list               their choices
-  sweep describe robot     their describe parameters: unit, meaning, bounds, default
+  sweep describe robot     their parameters: unit, meaning, bounds, default
   sweep run --cfg job      the whole configuration
   sweep run --multirun     a run for each of robot=base,circular
 examples:
