@@ -1,6 +1,7 @@
 """Predicted success beside the outcomes of real trials: calibration, correlation, and beliefs after the trials."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -93,7 +94,7 @@ def condition_correlation(
 
     if len(predicted) < MIN_CONDITIONS or not np.ptp(predicted) > 0 or not np.ptp(observed) > 0:
         return np.nan, np.nan, np.nan
-    found = pearsonr(predicted, observed)
+    found: Any = pearsonr(predicted, observed)  # its stub lacks the statistic
     low, high = found.confidence_interval(level)
     return float(found.statistic), float(low), float(high)
 

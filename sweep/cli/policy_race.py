@@ -157,13 +157,14 @@ def race_policies(args: argparse.Namespace) -> str:
     folders, names = list(args.dirs), list(rows)
     exps = [exp, *(results.load_experiment(folder) for folder in folders[1:])]
     pair_policies(rows, None)  # which refuses policies of different points
+    most = 0 if args.most is None else args.most  # draws
     while True:
         shares = unit_shares(list(rows.values()), exps)
         race = Race(len(names), args.level)
         race.add_units(shares)
         is_open = race.undecided_policies(args.best)
         draws = [extend.count_draws(one) for one in exps]
-        behind = [k for k in np.flatnonzero(is_open) if args.most is not None and draws[k] < args.most]
+        behind = [k for k in np.flatnonzero(is_open) if draws[k] < most]
         if not behind:
             counts = [int(np.isfinite(one).sum()) for one in shares.T]
             unit = sampling_units.independent_unit(exp.study)
@@ -171,7 +172,7 @@ def race_policies(args: argparse.Namespace) -> str:
         for k in behind:
             extend.check_extendable(exps[k], folders[k])
         least = min(behind, key=lambda k: draws[k])
-        number = min(next_draw_count(exps[least], folders[least]), args.most)
+        number = min(next_draw_count(exps[least], folders[least]), most)
         for k in behind:
             if draws[k] < number:
                 exps[k] = grow_folder(exps[k], folders[k], number)
