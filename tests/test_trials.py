@@ -82,6 +82,9 @@ def test_the_command_finds_the_friction_of_a_simulated_reality(fake_engine, tmp_
     rows = store.read_rows(tmp_path / "draws")
     won = (rows["outcome"] == "success")[rows["belief.manoeuvre.half_step_ratio"] == 0.05].sum()
     assert pd.read_csv("out.csv")["predicted"].iloc[1] == pytest.approx((won + 0.5) / 61)
+    (tmp_path / "one.csv").write_text("step,outcome\n0.02,success\n")
+    assert main(["trials", "one.csv", "draws"]) == 0
+    assert "nan" not in capsys.readouterr().out
     for text, message in (
         ("step,outcome\n0.03,success\n", "has no valid row with"),
         ("step,outcome\n0.02,perhaps\n", "outcome = perhaps is not allowed: success or failure"),

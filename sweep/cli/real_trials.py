@@ -139,10 +139,11 @@ def format_trials(found: TrialsAnswer) -> str:
     """Format the comparison as Markdown."""
     own = found.calibration
     judged = "the predictions are not calibrated" if own.p_value < 0.05 else "no evidence against calibration"
+    interval = "" if np.isnan(own.brier_low) else f" (95 % interval {own.brier_low:.3f} to {own.brier_high:.3f})"
     lines = [
         f"{own.trials} trials at {len(found.conditions)} conditions: {format_percent(own.observed_rate)} succeed, "
         f"{format_percent(own.predicted_rate)} were predicted",
-        f"Brier score {own.brier:.3f} (95 % interval {own.brier_low:.3f} to {own.brier_high:.3f}); "
+        f"Brier score {own.brier:.3f}{interval}; "
         f"{own.expected_brier:.3f} if every prediction were right (p = {own.p_value:.2g}): {judged}",
     ]
     r, low, high = found.correlation
