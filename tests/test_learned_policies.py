@@ -343,7 +343,7 @@ def test_the_page_as_it_stands(here, monkeypatch):
 
 
 @pytest.mark.parametrize(("words", "line"), [
-    (["--policy", "walk.onnx"], "--policy and --mjcf are wanted together"),
+    (["--policy", "walk.onnx"], "--policy and --mjcf need each other"),
     (["--policy", "robot.xml", "--mjcf", "robot.xml"], "--policy robot.xml is not allowed: a network in a file .onnx"),
     (["--policy", "run.onnx", "--mjcf", "robot.xml"], "--policy run.onnx is not a file"),
     (["--policy", "walk.onnx", "--mjcf", "robot.xml", "--preset", "isaacgym"], "--preset isaacgym is unknown"),

@@ -65,7 +65,7 @@ def test_an_interrupted_search_goes_on_to_the_same_numbers(tmp_path):
     assert least == whole[1]
     assert found(log)[2] == 0
     assert found(log, {**HOW, "generations": 13})[2] == 1
-    with pytest.raises(InputError, match="log is of another search"):
+    with pytest.raises(InputError, match="log belongs to another search"):
         found(log, {**HOW, "seed": 4})
     log.write_text("\n".join(lines[:1]) + "\n")  # which came to nothing
     assert found(log, {**HOW, "seed": 4})[2] == whole[2]
@@ -122,7 +122,7 @@ def test_what_draws_want_is_found_and_an_interrupted_search_goes_on(by, ends, of
         by(Wants(ends), how, tmp_path / "log")
     np.testing.assert_array_equal(by(rest, how, tmp_path / "log"), beside)
     assert rest.asked == whole.asked - ends
-    with pytest.raises(InputError, match="log is of another search"):
+    with pytest.raises(InputError, match="log belongs to another search"):
         by(rest, {**how, "seed": 2}, tmp_path / "log")
 
 
@@ -158,7 +158,7 @@ def test_a_plan_that_touches_is_tuned_until_it_does_not(tmp_path, monkeypatch, c
     assert len((tmp_path / "plans" / "mine.yaml.log").read_text().splitlines()) == 1 + 3
     (tmp_path / "low.yaml").write_text("extends: pole_top\nover:\n  front: {base: [-0.018, 0.34, 22]}\n")
     assert main([*search, "out=plans/mine.yaml"]) == 2
-    assert "mine.yaml.log is of another search" in capsys.readouterr().err
+    assert "mine.yaml.log belongs to another search" in capsys.readouterr().err
     assert main([*asked, "--free", "top.centre.lift", "--generations", "1", "out=plans/other.yaml"]) == 4
     assert "no better plan was found; plans/other.yaml is unchanged" in capsys.readouterr().err
 

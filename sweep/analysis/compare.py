@@ -100,7 +100,7 @@ def pair_rows(a: pd.DataFrame, b: pd.DataFrame, by: list[str] | None = None) -> 
     if both.empty:
         others = ", ".join(name for name in _varied(a, b) if name not in key)
         options = f"--by {others}" if others else "none that both vary"
-        raise InputError(f"no row of A has the {', '.join(key)} of one of B (other columns to pair by: {options})")
+        raise InputError(f"A and B have no rows with equal {', '.join(key)} (other columns to pair by: {options})")
     both.attrs["by"] = varied
     return both
 

@@ -53,7 +53,7 @@ def shapley_failure_shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     axes = [axis for axis in (*listed_axes(rows, exp), *drawn_axes(rows, exp)) if axis.along is None]
     plain_draws = exp.study.design.follows_distributions and exp.study.design.num > 0
     if not (exp.study.is_adaptive or plain_draws) or not 0 < len(axes) <= MAX_AXES:
-        raise InputError(f"shares of failure need draws of at most {MAX_AXES} numbers")
+        raise InputError(f"failure shares need random draws of 1 to {MAX_AXES} parameters")
     plain, failing = _weighted(rows, exp)
     bad, good = (_chosen(weight) for weight in (failing, np.where(rows["outcome"] == "success", plain, 0.0)))
     used = np.concatenate([bad, good])
@@ -62,7 +62,8 @@ def shapley_failure_shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     draws = [len(np.unique(part)) for part in np.split(unit, [len(bad)])]
     if min(draws) < MIN_DRAWS_PER_OUTCOME:
         raise InputError(
-            f"shares of failure need {MIN_DRAWS_PER_OUTCOME} failures and successes, here: {draws[0]} and {draws[1]}"
+            f"failure shares need {MIN_DRAWS_PER_OUTCOME} failed and successful draws each, here: "
+            f"{draws[0]} and {draws[1]}"
         )
     kernels = [_kernel(rows[axis.column], plain, used) for axis in axes]
     left_out = _left_out(np.concatenate([failing[bad], plain[good]]), unit)
@@ -73,7 +74,7 @@ def shapley_failure_shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     share, error = np.clip(shapley[:, 0], 0.0, 1.0), _error(shapley)  # unbiased estimates may lie beyond
     certain = share > np.maximum(error, MIN_REPORTED_SHARE)
     if not certain.any():
-        raise InputError("no share is larger than its error: more failures may help")
+        raise InputError("no failure share is larger than its error: more failed draws may help")
     table = {"axis": [axis.column for axis in axes], "share": np.where(certain, share, np.nan)}
     table |= {"low": np.clip(share - error, 0, 1), "high": np.clip(share + error, 0, 1), "alone": alone[:, 0]}
     counts = {"failures": len(bad), "successes": len(good)}

@@ -79,7 +79,7 @@ def check_flags(overrides: list[str], run_flags: list[str]) -> None:
         raise InputError("--resolve is for --cfg")
     if args.shell_completion and not any(one.startswith(COMPLETION_QUERIES) for one in args.overrides):
         raise InputError(
-            f"--shell-completion wants {', '.join(COMPLETION_QUERIES)} and a shell; `sweep completion` is ours"
+            f"--shell-completion needs {', '.join(COMPLETION_QUERIES)} and a shell: `sweep completion` is simpler"
         )
     if (file := args.experimental_rerun) and not Path(file).is_file():
         raise InputError(f"--experimental-rerun = {file} is not a file")

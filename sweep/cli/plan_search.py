@@ -143,7 +143,9 @@ def nominal_drawn_sizes(exp: Experiment) -> dict[str, float]:
     found = {path: size for path in drawn if (size := at.get(path, float(plan_table.parameter_value(exp.case, path))))}
     if not found:
         groups = " or ".join(plan_table.SIZED)
-        raise InputError(f"--follow is not allowed: study {exp.study.name} draws no number of {groups} beside nought")
+        raise InputError(
+            f"--follow is not allowed: study {exp.study.name} draws no number of {groups} whose nominal value is not 0"
+        )
     return found
 
 

@@ -78,7 +78,8 @@ def open_study(target: list[str], beside: list[str]) -> tuple[Results, list[Show
                 replays.make_replays(of, of.rows.iloc[[at]].assign(why=""))
         if not (kept := replays.read_replay(of.folder, row)):
             raise InputError(
-                f"{row['point_id']} of {of.folder} has another outcome here, or ends at once: see sweep replay"
+                f"{row['point_id']} of {of.folder} has another outcome on this machine, or ends at once: "
+                "sweep replay shows how"
             )
         shown.append(ShownReplay(at if of.folder == found.folder else -1, row, kept, title))
     seen = {one.row["point_id"] for one in shown}

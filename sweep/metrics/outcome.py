@@ -61,7 +61,7 @@ def resolve_thresholds(values: Mapping[str, float | None], case: Case) -> Outcom
         value, cause = values.get(field.name, field.default), known.get(field.name)
         if cause is None and value != field.default:
             kinds = f"manoeuvre = {case.manoeuvre.kind} on obstacle = {case.obstacle.kind}"
-            raise InputError(f"outcome.{field.name} = {value} is not allowed: {kinds} has no such figure")
+            raise InputError(f"outcome.{field.name} = {value} is not allowed: {kinds} has no such metric")
         if value is None and cause is not None:
             value = case.manoeuvre.goal.get(field.name, cause.default_for(case))
         chosen[field.name] = value

@@ -92,7 +92,7 @@ def compile_model(case: Case, geoms: bool = True) -> mujoco.MjModel:
         return spec.compile()
     except ValueError as error:  # such as a mass too small to divide by
         reason = " ".join(str(error).removeprefix("Error: ").split())
-        raise InputError(f"robot or obstacle is not allowed: MuJoCo makes no model of it: {reason}") from None
+        raise InputError(f"robot or obstacle is not allowed: MuJoCo cannot compile its model: {reason}") from None
 
 
 def find_too_light_bodies(case: Case) -> np.ndarray:

@@ -235,7 +235,9 @@ def _refuse_lost(content: Content, path: str, found: Iterable[str]) -> NoReturn:
     own = [one.removeprefix(f"{above}.") for one in found if one.startswith(f"{above}.")]
     alone = f", not {', '.join(own)} alone" if own else ""
     number = ".".join(names)
-    raise InputError(f"plan.{above} = {stands} is not allowed: plan.{SLOPES} want its number {number}{alone}")
+    raise InputError(
+        f"plan.{above} = {stands} is not allowed: plan.{SLOPES} has a slope for its number {number}{alone}"
+    )
 
 
 def suggest_path(path: str, paths: Iterable[str], prefix: str = "plan.") -> str:
@@ -353,7 +355,7 @@ def plan_parameter(case: Any, path: str) -> "dataclasses.Field[Any]":
         if not found:
             raise InputError(f"plan.{path} is unknown: manoeuvre.kind = {case.manoeuvre.kind} has no plan file")
         raise InputError(
-            f"plan.{path} is unknown{suggest_path(path, found)} (`sweep describe plan` tells what plans have)"
+            f"plan.{path} is unknown{suggest_path(path, found)} (`sweep describe plan` lists the numbers of plans)"
         )
     name = path.rpartition(".")[2]
     field = quantity(found[path], "", above=0 if name in LONG else -math.inf)

@@ -96,9 +96,9 @@ def write_paper(results: Results, out: Path, serif: bool = False) -> list[Path]:
     cyrillic, unknown, others = find_other_letters(every)
     if unknown:
         font, package = (OTHER_FONTS[0], "noto-cjk") if others else (ALPHABET_FONTS[1], "freefont-otf")
-        letters = f"pdflatex has no letters {''.join(unknown)}"
+        letters = f"pdflatex cannot print {''.join(unknown)}"
         print(
-            f"sweep: {letters}: lualatex and xelatex have, with a font such as {font} (Debian: fonts-{package})",
+            f"sweep: {letters}: use lualatex or xelatex with a font such as {font} (Debian: fonts-{package})",
             file=sys.stderr,
         )
     texts["main.tex"] = _template().render(

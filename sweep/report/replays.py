@@ -48,7 +48,10 @@ def make_replays(
         return done
     for row, trace, labels in simulate_again(results.exp, wanted, store.read_points(results.folder)):
         if (labels["outcome"], labels["cause"]) != (row["outcome"], row["cause"]):
-            print(f"sweep: no replay of {row['point_id']}: here it has another outcome", file=sys.stderr)
+            print(
+                f"sweep: no replay of {row['point_id']}: on this machine the rollout ends with another outcome",
+                file=sys.stderr,
+            )
         elif len(trace.time):
             write_replay(results.folder, row, trace)
         done += 1

@@ -86,7 +86,10 @@ def draw_pictures(results: Results) -> list[Path]:
     for row, trace, labels in replays.simulate_again(results.exp, rows, results.rows, np.inf):
         one = wanted[row.name]
         if (labels["outcome"], labels["cause"]) != (row["outcome"], row["cause"]):
-            print(f"sweep: no picture of {row['point_id']}: here it has another outcome", file=sys.stderr)
+            print(
+                f"sweep: no picture of {row['point_id']}: on this machine the rollout ends with another outcome",
+                file=sys.stderr,
+            )
             continue
         end = np.fmin(row["t_cause_s"] + TIME_AFTER_CAUSE_S, trace.time[-1])
         one.picture.parent.mkdir(exist_ok=True)

@@ -102,7 +102,7 @@ def column_names(path: Path, metadata: pq.FileMetaData) -> list[str]:
         raise InputError(f"{path} is not allowed: it has {metadata.num_columns:,} columns, at most {MAX_COLUMNS:,}")
     names = [metadata.schema.column(k).path for k in range(metadata.num_columns)]
     if list(metadata.schema.names) != names:
-        raise InputError(f"{path} is not allowed: it has columns with parts")
+        raise InputError(f"{path} is not allowed: it has nested columns")
     if odd := next((name for name in names if not name.isprintable() or name[:1] in SPREADSHEET_FORMULA_SIGNS), None):
         raise InputError(f"{path} is not allowed: it has a column called {odd[:100]!r}")
     if len({*names}) < len(names):

@@ -340,7 +340,9 @@ def list_finished_part(job: Job, done: "FinishedBatch", entry: ManifestEntry) ->
         Fault: The part is not in this folder, or is of another study or other thresholds.
     """
     if not all(path_inside_folder(job.folder, one.file).exists() for one in (entry, *done.recordings)):
-        raise Fault(f"{done.host} wrote batch {done.batch} to {job.folder.resolve()}, which is not seen here")
+        raise Fault(
+            f"{done.host} wrote batch {done.batch} to {job.folder.resolve()}, which does not exist on this machine"
+        )
     if (entry.study, entry.labels) != (job.study_digest, job.labels_digest) or {
         one.study for one in done.recordings
     } - {job.study_digest}:

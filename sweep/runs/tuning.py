@@ -127,7 +127,7 @@ def search_by_cma(
         The best numbers (n,) and their score.
 
     Raises:
-        InputError: The log is of another search, or the package `cma` is missing.
+        InputError: The log belongs to another search, or the package `cma` is missing.
     """
     try:
         import cma
@@ -214,7 +214,7 @@ def search_by_gradients(
         The best numbers (n,).
 
     Raises:
-        InputError: The log is of another search.
+        InputError: The log belongs to another search.
     """
     entries = resume_log(log, settings)
     done, least, *parts = entries[-1] if entries else (0, np.inf, *np.zeros((4, len(first))))
@@ -259,7 +259,7 @@ def fit_size_slopes(
         Slopes (n, k): change of each number per relative change of each size.
 
     Raises:
-        InputError: The log is of another search.
+        InputError: The log belongs to another search.
     """
     spread = np.maximum(np.abs(shares).max(axis=0), 1e-12)
     by, entries = shares / spread, resume_log(log, settings)
@@ -360,7 +360,7 @@ def resume_log(log: Path, settings: Mapping[str, Any]) -> list[Any]:
     except ValueError:
         raise InputError(f"{log} is damaged: remove it, or choose another out") from None
     if entries and lines[0] != header:
-        raise InputError(f"{log} is of another search: remove it, or choose another out")
+        raise InputError(f"{log} belongs to another search: remove it, or choose another out")
     write_atomically(log, ("\n".join([header, *lines[1:]]) + "\n").encode())
     return entries
 

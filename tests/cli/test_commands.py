@@ -377,7 +377,7 @@ def test_mistakes_with_results_are_one_line_each(capsys, tmp_path):
     [
         (
             ["robot.body_mass=1e-30"],
-            "robot or obstacle is not allowed: MuJoCo makes no model of it: mass and inertia of",
+            "robot or obstacle is not allowed: MuJoCo cannot compile its model: mass and inertia of",
         ),
         (
             ["scenario=corner_roof", "plan=bad.yaml", "--dry-run"],

@@ -153,7 +153,7 @@ def test_a_manoeuvre_states_its_goal_and_outcome_may_loosen_it():
 
 @pytest.mark.parametrize("wrong", ["ride_height_min_m=0.5", "obstacle_aside_max_m=0.1"])
 def test_a_threshold_without_its_figure_is_refused(wrong):
-    with pytest.raises(InputError, match=f"outcome.{wrong.split('=')[0]} = .* has no such figure"):
+    with pytest.raises(InputError, match=f"outcome.{wrong.split('=')[0]} = .* has no such metric"):
         compose(["scenario=walk_tripod", f"outcome.{wrong}"])
 
 

@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     if args.gym and (args.mjcf or args.model):
         raise InputError("--gym is not allowed with --mjcf or --model: the task has its model")
     if not args.gym and (bool(args.policy) != bool(args.mjcf) or (args.policy and args.model)):
-        raise InputError("--policy and --mjcf are wanted together, without --model")
+        raise InputError("--policy and --mjcf need each other, and exclude --model")
     if args.gym:
         from sweep.cli import gym_project
 

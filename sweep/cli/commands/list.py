@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     }
     if not any(shipped.values()) and not any(own.values()):
         where = f"{group} that matches {' '.join(words)}" if group else f"group or choice called {' '.join(words)}"
-        raise InputError(f"there is no {where}, and no folder: `sweep list` shows the groups")
+        raise InputError(f"there is no {where}, and no folder of that name: `sweep list` shows the groups")
     lines = format_groups(shipped, brief=not args.what)
     if any(own.values()):
         lines += ["", f"of this project, {project.find_project()}", *format_groups(own)]

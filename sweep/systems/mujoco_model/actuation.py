@@ -56,7 +56,7 @@ def find_actuators(error_prefix: str, model: mujoco.MjModel, joints: list[str]) 
         mine = np.flatnonzero(np.isin(kind, JOINT_TRANSMISSIONS) & (target == model.joint(name).id))
         if len(mine) != 1:
             count = "no actuator" if not len(mine) else f"{len(mine)} actuators"
-            raise InputError(f"{error_prefix}: joint {name} has {count} in the model: one is wanted")
+            raise InputError(f"{error_prefix}: joint {name} has {count} in the model: exactly one is needed")
         found.append(int(mine[0]))
     return np.array(found, int)
 

@@ -419,7 +419,7 @@ class KernelModelEngine(ModelEngine):
         found[ON_NATIVE] = np.asarray(end.needs_native, float)
         if len(needs_native):
             print_note(
-                "kernel: rollouts in which geoms come near that it does not let touch, or a step is left unsolved, are "
+                "kernel: rollouts with a contact that the kernel does not simulate, or with an unsolved step, are "
                 f"simulated again by native: their column {ON_NATIVE} is 1"
             )
             self._simulate_again((world, belief), streams, needs_native, found, slots, every, frames)
