@@ -18,7 +18,7 @@ FORMER_NAMES = {"own": "mujoco"}  # words for a system that older scenarios have
 
 
 class SystemKind(NamedTuple):
-    """How the configuration of a kind of system is composed and read; an entry of `SYSTEMS`."""
+    """How configurations of one kind of system are composed and read; an entry of `SYSTEMS`."""
 
     config: str  # name of Hydra's primary configuration
     keys: tuple[str, ...]  # keys of its configuration, beside the common ones
@@ -26,7 +26,7 @@ class SystemKind(NamedTuple):
     open_keys: tuple[str, ...] = ()  # the keys whose parts only the system knows
 
     def build_nominal(self, values: Mapping[str, Any], kinds: ClassesByKind) -> SystemSetup:
-        """Build the system at its nominal parameters from a plain configuration.
+        """Build the system at nominal parameters from a plain configuration.
 
         Args:
             values: the resolved configuration.

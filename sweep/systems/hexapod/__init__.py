@@ -90,7 +90,7 @@ AUDIT_VARIANTS = {
 
 @dataclass(frozen=True)
 class Hexapod:
-    """The robot with its obstacle and manoeuvre; implements `System`."""
+    """The built-in six-legged robot with its obstacle and manoeuvre; implements `System`."""
 
     case: Case
     searched_ranges: plan_table.Ranges = dataclasses.field(default_factory=dict, compare=False)  # of the case's plan
@@ -111,13 +111,13 @@ class Hexapod:
 
     @property
     def replay_plots(self) -> "dict[str, Callable[[Trace], Figure]]":
-        """Plots of a trace by name, see `System`."""
+        """Functions that plot a trace over time, by name."""
         from sweep.systems.hexapod.plots import PLOTS  # slow to import
 
         return PLOTS
 
     def state_values_by_column(self, trace: Trace) -> dict[str, np.ndarray]:
-        """Return the columns that can be recorded over time, at every sample of a trace."""
+        """Return the recordable time-series columns at every sample of a trace."""
         names = "qpos", "qvel", "joint_torque", "foot_force"
         record = {name: np.moveaxis(getattr(trace, name), 0, -1) for name in names}
         return {name: np.asarray(column(record)) for name, column in available_columns(trace.world).items()}
@@ -143,20 +143,20 @@ class Hexapod:
 
     @property
     def recordable_columns(self) -> tuple[str, ...]:
-        """Columns of time series, see `System`."""
+        """Names of the time-series columns that `study.keep` can record."""
         return tuple(available_columns(self.case))
 
     def source_files(self) -> dict[str, Path]:
-        """Return no files: the configuration holds everything."""
+        """Return no files, since the configuration defines the whole system."""
         return {}
 
     def settings_summary(self, settings: EngineSettings) -> dict[str, str]:
-        """Summarize manoeuvre, obstacle, engine, time step and precision, see `System`."""
+        """Summarize manoeuvre, obstacle, engine, time step and precision for readers."""
         about = {"manoeuvre": self.case.manoeuvre.kind, "obstacle": self.case.obstacle.kind, "engine": settings.name}
         return {**about, "step": f"{1000 * settings.time_step_s:g} ms", "precision": settings.precision}
 
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:
-        """Return the field of a case, of engine settings, or of a plan's number, see `System`."""
+        """Return unit, bounds and default of a parameter: of the case, the engine settings, or a number of the plan."""
         side, path = split_side_prefix(column)
         if path.startswith("plan."):
             if side == "world":
@@ -169,7 +169,7 @@ class Hexapod:
         return found
 
     def nominal(self, column: str, settings: EngineSettings) -> Any:
-        """Return the value in the case, engine settings or plan, see `System`."""
+        """Return the nominal value of a parameter of the case, the engine settings or the plan."""
         if split_side_prefix(column)[1].startswith("plan."):
             return self.parameter(column, settings).default
         return getattr(*self._owner(column, settings))
@@ -194,12 +194,12 @@ class Hexapod:
         return owner, last
 
     def iterate_physical_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
-        """Yield all fields of the case and all numbers of the plan, see `System`."""
+        """Yield path and value of all fields of the case and all numbers of the plan."""
         yield from flatten_case(self.case, "")
         yield from _plan_inputs(self.case, plan_table.plan_content(self.case))
 
     def inputs_left_out_of_point_ids(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
-        """Yield defaults of inputs that earlier versions did not have: control, load errors, numbers of the plan.
+        """Yield default values of inputs that earlier versions lacked: control, load errors, numbers of the plan.
 
         Point ids of earlier rows thus stay valid.
         """
@@ -208,8 +208,7 @@ class Hexapod:
         yield from _plan_inputs(self.case, plan_table.default_plan_content(self.case))
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
-        """Refuse sizes in a wrong unit, robots that MuJoCo cannot compile, and too long time steps; see
-        `System.check`."""
+        """Raise `InputError` for sizes in a wrong unit, robots that MuJoCo cannot compile, and too long time steps."""
         for column in table.columns:
             if not column.startswith("axis.") and table[column].dtype.kind == "f":
                 _check_size(column, self.parameter(column, settings), table[column].max())
@@ -270,13 +269,15 @@ class Hexapod:
             )
 
     def max_rollouts_for_cpu(self, settings: EngineSettings) -> int:
-        """Return a full tile of the fused compiler for each core, see `System`."""
+        """Return one full tile of the fused compiler per core, the most rollouts that a CPU finishes sooner than a
+        GPU."""
         from sweep.fused.llvm import TILE_LANES  # whose library what is wrong need not wait for
 
         return TILE_LANES * devices.count_cores() if settings.is_fusible else 0
 
     def explain_inactive_column(self, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
-        """Explain parameters that only the world, only the belief or only another engine uses; see `System`."""
+        """Explain why a parameter may have no effect: only the world, only the belief or only another engine uses
+        it."""
         side, path = split_side_prefix(column)
         if side == "world" and path.startswith(("manoeuvre.", "control.")):
             return "plans depend on the belief only"
@@ -295,7 +296,7 @@ class Hexapod:
         return found
 
     def make_world_and_belief(self, values: ColumnValues) -> tuple[Case, Case]:
-        """Make the cases of world and belief, see `System`."""
+        """Make the cases of world and belief from values by column."""
         sides = split_world_and_belief(values).values()
         world, belief = (
             reduce(lambda case, one: replace_parameter(case, *one), own.items(), self.case) for own in sides
@@ -303,7 +304,7 @@ class Hexapod:
         return world, belief
 
     def allocate_delay_buffers(self, table: "pd.DataFrame") -> "Hexapod":
-        """Return this system with sensor buffers for the longest delay in a points table."""
+        """Return this system with sensor buffers that hold the longest delay in a points table."""
 
         def of(name: str) -> Any:
             columns = [c for c in table.columns if split_side_prefix(c)[1] == f"noise.{name}"]
@@ -314,13 +315,13 @@ class Hexapod:
         return Hexapod(replace_parameter(self.case, "noise.delay_buffer", room))
 
     def make_engine(self, settings: EngineSettings, world: Case, belief: Case, limits: OutcomeThresholds) -> Engine:
-        """Compile one of the robot's engines, see `System`."""
+        """Compile one of the hexapod's engines."""
         from sweep import engines  # slow to import
 
         return engines.make_engine(settings, world, belief, limits)
 
     def parse_threshold(self, text: str) -> tuple[str, float]:
-        """Parse a threshold such as `slip_max_m<0.02`, see `System`. Maxima allow `<` only, minima `>` only."""
+        """Parse a threshold such as `slip_max_m<0.02`; maxima allow only `<`, minima only `>`."""
         sign = next((s for s in ("<=", ">=", "<", ">", "=") if s in text), None)
         key, _, value = text.partition(sign or "=")
         try:
@@ -339,7 +340,7 @@ class Hexapod:
 
 
 def build_nominal(values: Mapping[str, Any], kinds: ClassesByKind) -> SystemSetup:
-    """Build the robot's system from a plain configuration, see `sweep.systems.SystemKind.build_nominal`."""
+    """Build the hexapod at nominal parameters from a plain configuration."""
     classes = {"engine": EngineSettings, "outcome": OutcomeThresholds}
     classes |= {name: group.load() for name, group in GROUPS.items() if group.in_case and group.has_single_class}
     parts = {group: build(cls, values[group], group) for group, cls in classes.items()}
@@ -362,7 +363,7 @@ def build_nominal(values: Mapping[str, Any], kinds: ClassesByKind) -> SystemSetu
 
 
 def plan_numbers(file: str, read: Callable[[str], str]) -> dict[str, float | str]:
-    """Return the numbers and formulas of a plan's file by path, for any obstacle.
+    """Return the numbers and formulas in a plan file by path.
 
     Args:
         file: Name of the file.
@@ -462,7 +463,7 @@ def _plan_inputs(case: Case, plan: Content) -> Iterator[tuple[str, Any]]:
 
 
 def flatten_case(value: Any, path: str) -> Iterator[tuple[str, Any]]:
-    """Yield path and value of all members of a case, except for numbers of its plan."""
+    """Yield path and value of all members of a case, except numbers of its plan."""
     if isinstance(value, PlanTable):
         return  # see `_plan_inputs`
     if dataclasses.is_dataclass(value):

@@ -58,7 +58,7 @@ class ExportedController(NamedTuple):
 
 
 def check_exportable(case: Case) -> None:
-    """Raise `InputError` where a case does more than the controller of a MuJoCo model can."""
+    """Raise `InputError` if a case has features that the exported controller cannot have."""
     plan = nominal_plan(case)
     kind = f"manoeuvre.kind = {case.manoeuvre.kind}"
     reasons = {
@@ -77,7 +77,7 @@ def check_exportable(case: Case) -> None:
 
 
 def make_spec(case: Case, settings: EngineSettings) -> mujoco.MjSpec:
-    """Make the MuJoCo model of the robot, with joint angles as controls and sensors that MJX supports.
+    """Make the MuJoCo spec of the robot for export, with joint angles as controls and sensors that MJX supports.
 
     Args:
         case: The scenario's parameters.
@@ -148,7 +148,7 @@ def _conditions(case: Case, limits: OutcomeThresholds) -> Iterator[tuple[str, st
 
 
 def make_controller(case: Case, settings: EngineSettings, limits: OutcomeThresholds) -> ExportedController:
-    """Make a controller that plans, tracks and measures as this package does.
+    """Make the exported controller, which plans, tracks and measures as this package does.
 
     The nominal world is simulated for the plan, with the belief's values where the belief has them.
 

@@ -1,4 +1,4 @@
-"""Plot a trace over time. Legs are arranged as seen from above: left legs on the left, the front pair on top."""
+"""Plots of a trace over time. Legs are arranged as seen from above: left legs on the left, the front pair on top."""
 
 from collections.abc import Callable
 from functools import partial, wraps

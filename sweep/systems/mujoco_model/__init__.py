@@ -86,7 +86,7 @@ CAUSE_MEANINGS = {cause.name: cause.sentence for cause in CAUSES}
 def judge(
     figures: Mapping[str, np.ndarray], limits: tuple[Condition, ...], stages: Sequence[str]
 ) -> dict[str, np.ndarray]:
-    """Label rows: causes that every model has come first, then the first condition that holds; see `System.judge`."""
+    """Label rows by built-in causes of all models first, then by the first condition of the scenario that holds."""
     none = np.zeros(len(next(iter(figures.values()))), int)
     causes = [judge_cause(cause, figures, cause.limit(cause.default), none) for cause in CAUSES]
     causes += [condition.judge(figures) for condition in limits]
@@ -95,7 +95,7 @@ def judge(
 
 @dataclass(frozen=True)
 class MujocoModel(ModelSpec):
-    """A MuJoCo model with its controller; implements `System`."""
+    """A user's MuJoCo model with its controller; implements `System`."""
 
     conditions: tuple[Condition, ...] = ()
     values: str = ""  # configuration as JSON, from which variants with other files are built
@@ -120,21 +120,21 @@ class MujocoModel(ModelSpec):
 
     @property
     def causes(self) -> dict[str, str]:
-        """Meaning of each cause: conditions of the scenario, and causes of invalidity, see `System`."""
+        """Meaning of each cause: conditions of the scenario, and causes of invalidity."""
         return {one.cause: one.meaning for one in self.conditions} | CAUSE_MEANINGS
 
     def cause_meanings(self, limits: tuple[Condition, ...]) -> dict[str, str]:
-        """Return the meaning of each cause, whose conditions contain their thresholds, see `System`."""
+        """Return the meaning of each cause by name; conditions contain their thresholds."""
         return {one.cause: one.meaning for one in limits} | CAUSE_MEANINGS
 
     @property
     def metric_names(self) -> tuple[str, ...]:
-        """Metrics of any MuJoCo model, and those of its controller, see `System`."""
+        """Names of the metrics of any MuJoCo model, and those of its controller."""
         tracked = tracking.tracking_columns(self.tracked_commands)
         return (*MetricAccumulator(self).columns, *self.controller.metric_meanings, *tracked)
 
     def state_values_by_column(self, trace: Trace) -> dict[str, np.ndarray]:
-        """Return positions and velocities at every sample of a trace, by column, see `System`."""
+        """Return positions and velocities at every sample of a trace, by column."""
         return self.time_series_columns(trace.qpos, trace.qvel) | dict(trace.columns)
 
     def model_xml(self, trace: Trace, settings: EngineSettings) -> str:
@@ -143,7 +143,7 @@ class MujocoModel(ModelSpec):
 
     @property
     def recordable_columns(self) -> tuple[str, ...]:
-        """Columns of time series: positions, velocities, and what a learned policy saw and did, see `System`."""
+        """Names of time-series columns: positions, velocities, and inputs and outputs of a learned policy."""
         state = self.time_series_columns(self.model.qpos0[None], np.zeros((1, self.model.nv)))
         return (*state, *self.policy_columns)
 
@@ -159,14 +159,14 @@ class MujocoModel(ModelSpec):
         return found
 
     def settings_summary(self, settings: EngineSettings) -> dict[str, str]:
-        """Summarize files, engine and time step, see `System`."""
+        """Summarize files, engine and time step for readers."""
         listed = {path: ", ".join(names) for path, names in self.listed}
         model, controller = (listed.get(path, self.file_value(path)) for path in FILE_PATHS[:2])
         about = {"model": model, "controller": controller, "engine": settings.name}
         return {**about, "step": f"{1000 * self.model.opt.timestep:g} ms"}
 
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:
-        """Return the field of a model's number, or of a controller, noise or engine parameter, see `System`."""
+        """Return unit, bounds and default of a parameter of the model, controller, noise or engine."""
         path = split_side_prefix(column)[1]
         require_choice(
             root := path.partition(".")[0], (*self.groups, "engine"), f"axis {column} is not allowed: {root}"
@@ -199,7 +199,7 @@ class MujocoModel(ModelSpec):
         return dataclasses.field(default=value, metadata=terrain.PARAMETERS[name].metadata)
 
     def nominal(self, column: str, settings: EngineSettings) -> Any:
-        """Return the nominal value of a parameter of the model or its settings, see `System`."""
+        """Return the nominal value of a parameter of the model or its settings."""
         root, _, name = column.partition(".")
         return getattr(settings, name) if root == "engine" else self.parameter(column, settings).default
 
@@ -224,7 +224,7 @@ class MujocoModel(ModelSpec):
         return 0
 
     def inputs_left_out_of_point_ids(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
-        """Yield varied numbers of the model at their nominal values, which do not count for point ids."""
+        """Yield varied numbers of the model at nominal values, which point ids leave out."""
         yield from self._varied_numbers(paths)
         yield "noise.action_delay", 0.0
         yield from ((path, 0.0) for path in self.parameters if path.startswith(f"{initial_state.START}."))
@@ -238,7 +238,8 @@ class MujocoModel(ModelSpec):
         return ()
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
-        """Refuse axes that vary nothing, a controller that is none, and an engine that is none for the model."""
+        """Raise `InputError` for axes without effect, an invalid controller, or an engine that cannot simulate the
+        model."""
         columns = [c for c in map(str, table.columns) if "." in c and not c.startswith("axis.")]
         for column in columns:
             if column.startswith(("world.controller.", "world.schedule.")):
@@ -273,7 +274,7 @@ class MujocoModel(ModelSpec):
         self.make_engine(settings, *self.make_world_and_belief({}), limits=None).check_start()
 
     def require_parameters(self, columns: Iterable[str], settings: EngineSettings) -> None:
-        """Raise `InputError` where this system lacks a parameter that a study varies.
+        """Raise `InputError` if this system lacks a parameter that a study varies.
 
         Args:
             columns: Columns of the study.
@@ -287,7 +288,7 @@ class MujocoModel(ModelSpec):
                 raise InputError(f"{error} (with {chosen})") from None
 
     def with_files(self, values: ColumnValues) -> "MujocoModel":
-        """Return this system with other files. Raises `InputError` where they do not fit together.
+        """Return this system with other model or controller files. Raises `InputError` if they do not fit together.
 
         Args:
             values: ColumnValues by path; those of `FILE_PATHS` count.
@@ -326,12 +327,12 @@ class MujocoModel(ModelSpec):
         return np.ones(len(rows), dtype=bool)
 
     def make_world_and_belief(self, values: ColumnValues) -> tuple[SideValues, SideValues]:
-        """Make the values of world and belief, by path, see `System`."""
+        """Make the values of world and belief, by path."""
         world, belief = (SideValues(tuple(chosen.items())) for chosen in split_world_and_belief(values).values())
         return world, belief
 
     def allocate_delay_buffers(self, table: "pd.DataFrame") -> "MujocoModel":
-        """Return this system with an observation buffer for the longest delay of a table, see `System`."""
+        """Return this system with an observation buffer for the longest delay in a points table."""
 
         def longest(path: str) -> int:
             varied = [table[c].max() for c in table.columns if split_side_prefix(c)[1] == path]
@@ -344,7 +345,7 @@ class MujocoModel(ModelSpec):
         return replace(self, delay_buffer=max(self.delay_buffer, room), action_buffer=action_room)
 
     def make_engine(self, settings: EngineSettings, world: SideValues, belief: SideValues, limits: Any) -> ModelEngine:
-        """Compile an engine on C MuJoCo, MJX or a kernel, see `System`."""
+        """Compile an engine that simulates the model on C MuJoCo, MJX or a kernel."""
         chosen = self.with_files(world.select_group("model"))
         model, shape = self.model_values(world), chosen.config.terrain
         shared = {
@@ -370,24 +371,24 @@ class MujocoModel(ModelSpec):
         return MjxModelEngine(system, settings)
 
     def run_id(self, settings: EngineSettings) -> str:
-        """Hash how a row is simulated; on C MuJoCo neither the batch width nor the number of threads counts."""
+        """Hash how a row is simulated; on C MuJoCo, batch width and number of threads do not count."""
         settings = replace(settings, width=0) if settings.name == "native" else settings
         kernels = (f"warp-lang {metadata.version('warp-lang')}",) if settings.name == "warp" else ()
         return run_id.run_id(settings, _content_digest(self), *kernels)
 
     def parse_threshold(self, text: str) -> tuple[str, str]:
-        """Parse a condition such as `goal=travelled_m >= 1`, see `System`."""
+        """Parse a condition such as `goal=travelled_m >= 1`."""
         key, _, condition = (part.strip() for part in text.partition("="))
         if not key.isidentifier() or not condition:
             raise InputError(f"{text!r} is not allowed: a name and a condition, such as 'goal=travelled_m >= 1'")
         return key, condition
 
     def thresholds(self, limits: tuple[Condition, ...]) -> dict[str, float]:
-        """Return the thresholds of conditions that compare a metric with a number, see `System`."""
+        """Return the thresholds of conditions that compare a metric with a number."""
         return {one.threshold[0]: one.threshold[1] for one in limits if one.threshold}
 
     def explain_cause(self, row: Mapping[str, Any], limits: tuple[Condition, ...]) -> str:
-        """Return the condition that ended a rollout, with its metric, see `System`."""
+        """Return the condition that ended a rollout, with its metric."""
         for one in limits:
             if one.cause == row["cause"] and one.threshold:
                 return f"{one.meaning} ({one.threshold[0]} {float(row[one.threshold[0]]):.4g})"
@@ -395,7 +396,7 @@ class MujocoModel(ModelSpec):
 
 
 def build_nominal(values: Mapping[str, Any], kinds: ClassesByKind) -> SystemSetup:
-    """Build the system of a MuJoCo model from a plain configuration, see `sweep.systems.SystemKind.build_nominal`."""
+    """Build the system of a MuJoCo model at nominal parameters from a plain configuration."""
     about = _parse_model(values["model"])
     settings, usual = build(ModelEngineSettings, values["engine"], "engine"), ModelEngineSettings()
     for field in dataclasses.fields(usual):

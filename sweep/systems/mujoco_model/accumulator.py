@@ -13,7 +13,7 @@ from sweep.systems.mujoco_model.tick import ModelPartIndices, ModelRollout, Mode
 
 
 class ModelMetricStates(NamedTuple):
-    """States of all metrics of n rollouts, a pytree of NumPy or JAX arrays that engines carry."""
+    """States of all metrics of n rollouts as NumPy or JAX arrays, which engines carry."""
 
     steps: Array  # (n,), physics steps so far
     start_qpos: Array  # positions (n, nq)
@@ -31,11 +31,11 @@ class MetricAccumulator:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Columns that rollouts of the model have."""
+        """Names of the metric columns that rollouts of the model have."""
         return tuple(column for metric in self._metrics for column in metric.columns)
 
     def start(self, qpos: Array, qvel: Array) -> ModelMetricStates:
-        """Return the initial states.
+        """Return the metric states before the first tick.
 
         Args:
             qpos: Positions (n, nq).
@@ -49,7 +49,7 @@ class MetricAccumulator:
     def update(
         self, running: ModelMetricStates, steps: Mapping[str, Array], limits: Mapping[str, Array], going: Array
     ) -> ModelMetricStates:
-        """Add a report to the metrics.
+        """Update all metrics with a report.
 
         Args:
             running: States before it.
@@ -64,7 +64,7 @@ class MetricAccumulator:
         return keep_ended_states(going, new, running)
 
     def compute(self, running: ModelMetricStates, mass: Array, gained: Array, broken: Array, full: Array) -> Metrics:
-        """Compute the columns (n,) of all rollouts.
+        """Compute the metric columns (n,) of all rollouts.
 
         Args:
             running: States after the last tick, in NumPy's arrays.

@@ -11,8 +11,7 @@ JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_J
 
 
 class JointControl(NamedTuple):
-    """A proportional-derivative law for each of the nu actuators; the commands of actuators without one are their
-    controls."""
+    """A proportional-derivative law for the actuators; commands of other actuators are their controls."""
 
     qpos: np.ndarray  # (nu,) index of the joint's position
     qvel: np.ndarray  # (nu,) index of the joint's velocity
@@ -76,7 +75,7 @@ def is_servo(model: mujoco.MjModel) -> np.ndarray:
 def make_joint_control(
     model: mujoco.MjModel, actuators: np.ndarray, stiffness: np.ndarray, damping: np.ndarray, limit: np.ndarray
 ) -> JointControl:
-    """Make the law of some actuators, which are motors.
+    """Make the proportional-derivative law of some actuators, which are motors.
 
     Args:
         model: The model.

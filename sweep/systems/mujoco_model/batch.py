@@ -59,8 +59,8 @@ class BatchStart(NamedTuple):
         return self.ground.make_picture_model(self.batch, slot, self.alone)
 
     def energy(self, qpos: Any = None, qvel: Any = None) -> np.ndarray:
-        """Return the potential and kinetic energy (J) of each model (n,), in its present state or at given qpos (n, nq)
-        and qvel (n, nv).
+        """Return the mechanical energy (n,) in J of each model, in its present state or at given qpos (n, nq) and qvel
+        (n, nv).
 
         All that follows from the state is worked out; where that is not finite, energy is NaN.
         """
@@ -76,7 +76,7 @@ class BatchStart(NamedTuple):
         return np.where(finite, found.sum(axis=1), np.nan)
 
     def current_sensors(self) -> np.ndarray:
-        """Return the sensors (n, nsensordata) of the present state, by MuJoCo's forward pass."""
+        """Return the sensor values (n, nsensordata) of the present state, by MuJoCo's forward pass."""
         self.batch.forward(np.flatnonzero(self._finite()))
         return self.sensors
 
@@ -129,7 +129,7 @@ def start_batch(
 
 
 def draw_uniform(streams: np.ndarray, purpose: int, count: int) -> np.ndarray:
-    """Draw even random numbers from 0 to 1 from the noise streams of rollouts.
+    """Draw uniform random numbers from 0 to 1 from the noise streams of rollouts.
 
     Args:
         streams: Noise streams (n,).
@@ -160,7 +160,7 @@ def controller_inputs(spec: ModelSpec, world: SideValues, belief: SideValues) ->
 
 
 def simulated_numbers(spec: ModelSpec, world: SideValues) -> dict[str, Any]:
-    """Return the simulated numbers of noise and pushes, by path."""
+    """Return the world's values of noise and push parameters, by path."""
     groups = (world.select_group(name) for name in ("noise", *PHYSICAL))
     return {**dict(spec.controller_values), **{path: value for group in groups for path, value in group.items()}}
 
@@ -171,7 +171,7 @@ def without_random_start(spec: ModelSpec) -> SideValues:
 
 
 def count_ticks(spec: ModelSpec, duration: Any) -> np.ndarray:
-    """Return the number of control ticks (n,) of rollouts whose controllers end them after a `duration` (n,) in s.
+    """Return the number of control ticks (n,) of rollouts that last `duration` (n,) in s.
 
     Raises `InputError` where one is shorter than a tick.
     """
@@ -183,7 +183,6 @@ def count_ticks(spec: ModelSpec, duration: Any) -> np.ndarray:
 
 
 def varied_model_fields(begun: BatchStart) -> dict[str, np.ndarray]:
-    """Return the fields in which the models of a batch differ from the nominal model, (n, ...): written and derived
-    ones."""
+    """Return the model fields in which the models of a batch differ from the nominal model, (n, ...) each."""
     model, found = begun.batch.model, mujoco_versions.differing_model_fields(begun.batch, begun.written)
     return {name: rows for name, rows in sorted(found.items()) if (rows != fields.field_values(model, name)).any()}

@@ -1,4 +1,4 @@
-"""Disturbances of user models: pushes on bodies, and commands that reach the actuators late."""
+"""Disturbances of user models: pushes on bodies, and delayed commands."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -30,7 +30,7 @@ class PushedBody(NamedTuple):
 
 
 class Disturbances(NamedTuple):
-    """Pushes, delays of commands and limits of motors of n rollouts, one row for each rollout."""
+    """Pushes, command delays and motor limits of n rollouts."""
 
     delay: Any  # (n,) physics steps by which commands are late, whole
     force: Any  # (n, p, 3) N, of each push
@@ -39,7 +39,7 @@ class Disturbances(NamedTuple):
     motors: MotorLimits | None = None  # None where no joint has a motor
 
     def mean_push_forces(self, first: Any, count: int, step: float) -> Any:
-        """Return the forces of physics steps, each its mean over the step, so that impulses are exact.
+        """Return the mean force of each push over each physics step, so that impulses are exact.
 
         Args:
             first: Number of the first step: one, or one for each rollout (n,).
@@ -94,7 +94,7 @@ def make_disturbances(pushes: tuple[PushedBody, ...], values: Mapping[str, Any],
 
 
 def delay_commands(past: Any, commands: Any, delay: Any) -> tuple[Any, Any]:
-    """Return the commands that reach the actuators in the physics steps of a tick, and the last ones of all.
+    """Return the delayed commands of a tick's physics steps, and the latest commands for the next tick.
 
     Args:
         past: Commands (n, d, nu) of the d steps before, the last one last.

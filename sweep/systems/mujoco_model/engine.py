@@ -59,8 +59,7 @@ def print_note(line: str) -> None:
 
 
 class ModelEngine:
-    """Base class of engines for user models: subclasses name their `dynamics` and simulate the ticks. Raises
-    `InputError`."""
+    """Base class of engines for user models; subclasses simulate the ticks."""
 
     stages: tuple[str, ...] = ("run",)  # there are no others
     dynamics: str
@@ -111,27 +110,26 @@ class ModelEngine:
             return self._programs.evaluate_first_tick(begun)
 
     def check_varied(self, paths: Iterable[str]) -> Iterable[str]:
-        """Raise `InputError` where the models of a batch cannot differ in what `paths` name; return cautions, one line
-        each."""
+        """Raise `InputError` if the models of a batch cannot differ in the parameters `paths`; return cautions, one
+        line each."""
         return ()
 
     def rollout_bytes(self) -> None:
-        """Return None: the memory of a rollout is not known, see `Engine`."""
+        """Return None: the memory of a rollout is not known."""
 
     def find_unread_columns(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
-        """Return the columns that no program reads, see `Engine`. Columns of the MuJoCo model always count as read."""
+        """Return the parameter columns that no program reads; columns of the MuJoCo model always count as read."""
         with self._within():
             return find_unread_columns(self._programs.rollout_outputs, sides, ends)
 
     def run(self, world: SideValues, belief: SideValues, streams: np.ndarray) -> Metrics:
-        """Simulate a batch and return its metrics, see `Engine`."""
+        """Simulate a batch and return its metrics."""
         return self._simulate_columns(world, belief, streams)[0]
 
     def run_with_time_series(
         self, world: SideValues, belief: SideValues, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
     ) -> tuple[Metrics, np.ndarray]:
-        """Simulate a batch; return its metrics, and columns of some rollouts over time, see
-        `Engine.run_with_time_series`."""
+        """Simulate a batch; return its metrics, and columns of some rollouts over time."""
         found, frames, _ = self._simulate_columns(world, belief, streams, slots, watch.every)
         columns = [self._spec.time_series_columns(frame.qpos, frame.qvel, frame.policy) for frame in frames]
         none = np.full(len(slots), np.nan)  # of a column that another model or controller of the study has
@@ -139,13 +137,13 @@ class ModelEngine:
         return found, np.stack(samples) if samples else np.zeros((0, len(slots), len(watch.columns)))
 
     def trace(self, world: SideValues, belief: SideValues, streams: np.ndarray, slot: int) -> Trace:
-        """Simulate a batch and record one of its rollouts, see `Engine.trace`."""
+        """Simulate a batch and record a trace of the rollout at index `slot`."""
         return self.traces(world, belief, streams, 1, [slot])[0]
 
     def traces(
         self, world: SideValues, belief: SideValues, streams: np.ndarray, every: int, slots: Any = None
     ) -> list[Trace]:
-        """Simulate a batch and record the rollouts at the indices `slots`, by default all, see `Engine.traces`."""
+        """Simulate a batch and record traces of the rollouts at the indices `slots`, by default of all."""
         slots = range(len(streams)) if slots is None else slots
         found, frames, models = self._simulate_columns(world, belief, streams, slots, every)
         if not frames:  # all rollouts end before the first one
@@ -182,14 +180,14 @@ class ModelEngine:
 
 
 def joint_moment_arms(model: mujoco.MjModel) -> np.ndarray:
-    """Return the moment arms (nu, J) from the forces of actuators to the `hinge_and_slide_joints` that they drive."""
+    """Return the moment arms (nu, J) from actuator forces to the hinge and slide joints that they drive."""
     joints, kind = hinge_and_slide_joints(model), int(mujoco.mjtTrn.mjTRN_JOINT)
     driven = (model.actuator_trnid[:, :1] == joints) & (model.actuator_trntype[:, None] == kind)
     return driven * model.actuator_gear[:, :1]
 
 
 class NativeModelEngine(ModelEngine):
-    """Engine that simulates user models on C MuJoCo; its bits do not depend on the number of cores."""
+    """Engine that simulates user models on C MuJoCo; results do not depend on the number of cores."""
 
     dynamics = "C MuJoCo"
 
@@ -267,7 +265,7 @@ class TickStepper:
         self._pushed: tuple[np.ndarray, np.ndarray] | None = None  # places as two steps began, last force
 
     def advance(self, ctrl: np.ndarray, out: dict[str, np.ndarray] | None = None) -> dict[str, np.ndarray]:
-        """Simulate a tick.
+        """Simulate one control tick of the batch.
 
         Args:
             ctrl: Commands (n, nu) of the controllers.
@@ -334,7 +332,7 @@ class TickStepper:
 
 
 def find_unsolved_steps(model: mujoco.MjModel, steps: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return which steps (n, s) the solver left unsolved after all of its iterations.
+    """Return in which steps (n, s) the contact solver did not converge within its iterations.
 
     What PGS and noslip find balances whatever it is, so that of theirs the iterations alone are known.
     """

@@ -27,7 +27,7 @@ OPTION_KIND, PATH_ROOT = "option", "model"
 
 
 class NumberSpec(NamedTuple):
-    """Unit, bounds and component names of a model field that may vary."""
+    """Unit, bounds and component names of a MuJoCo model field that may vary."""
 
     unit: str = ""
     at_least: float = -np.inf
@@ -38,7 +38,7 @@ class NumberSpec(NamedTuple):
 
 
 class NumberLocation(NamedTuple):
-    """Location of a number in a flattened field of a model, and its sign there."""
+    """Index of a number in a flattened field of a MuJoCo model, and its sign there."""
 
     field: str
     flat_index: int
@@ -46,7 +46,7 @@ class NumberLocation(NamedTuple):
 
 
 class NamedElement(NamedTuple):
-    """The model element that a path names, such as a geom, and the path's attribute."""
+    """A model element, such as a geom, that a parameter path names, with the attribute in the path."""
 
     kind: str
     number: int  # as MuJoCo counts things of the kind; of options, which are one thing, 0
@@ -162,7 +162,7 @@ FIXED = {  # why no other field of `mujoco.batch` can vary, by patterns of their
 
 
 def parameter_field(model: mujoco.MjModel, path: str) -> Parameter:
-    """Return the field that describes the parameter of a path, with its nominal value. Raises `InputError`."""
+    """Return unit, bounds and nominal value of the parameter that a path names. Raises `InputError`."""
     if is_group(path):
         return _group_parameter(model, path)
     if (name := path.removeprefix(f"{PATH_ROOT}.{OPTION_KIND}.")) in ENUM_OPTIONS:
@@ -186,7 +186,7 @@ def select_quantities(model: mujoco.MjModel, values: Mapping[str, Any]) -> dict[
 
 
 def with_scalar_options(model: mujoco.MjModel, values: Mapping[str, Any]) -> mujoco.MjModel:
-    """Return a copy of a model with other scalar options, by path."""
+    """Return a copy of a model with other scalar simulation options, by path."""
     changed = copy(model)
     for path, value in values.items():
         name = path.removeprefix(f"{PATH_ROOT}.{OPTION_KIND}.")
@@ -195,7 +195,7 @@ def with_scalar_options(model: mujoco.MjModel, values: Mapping[str, Any]) -> muj
 
 
 def write_values(batch: Batch, values: Mapping[str, Any], source: Callable[[], mujoco.MjSpec]) -> frozenset[str]:
-    """Write values into the models of a batch, and recompute what follows from them.
+    """Write parameter values into the models of a batch, and recompute derived fields.
 
     Args:
         batch: The batch of n models.
@@ -228,7 +228,7 @@ def write_values(batch: Batch, values: Mapping[str, Any], source: Callable[[], m
 
 
 def check_variable(source: Callable[[], mujoco.MjSpec], model: mujoco.MjModel, path: str) -> None:
-    """Raise `InputError` where a path names a number that cannot vary in this model.
+    """Raise `InputError` if a path names a number that cannot vary in this model.
 
     Args:
         source: Returns what the model was compiled from.
@@ -364,7 +364,7 @@ def is_group(path: str) -> bool:
 
 
 def group_members(model: mujoco.MjModel, path: str) -> list[str]:
-    """Return the paths that a group stands for, in the order of the model. Raises `InputError` where there are none.
+    """Return the paths that a pattern stands for, in the order of the model. Raises `InputError` if there are none.
 
     Args:
         model: The model.

@@ -244,7 +244,7 @@ def digest_contents(listed: Sequence[Path]) -> str:
 
 
 def load_controller(name: str, model: mujoco.MjModel, keyframe: int, period: float) -> LoadedController:
-    """Load the controller that `module:function` names, or a network from a file.
+    """Load a controller: a Python function named by `module:function`, or a network from a file.
 
     Args:
         name: `module:function`, or the network's file, from the project's folder.
@@ -406,7 +406,7 @@ def _module(controller: str, name: str) -> ModuleType:
 
 
 def code_folder(source: Path, file_names: Sequence[str]) -> Path:
-    """Return the folder that a module's relative paths start from: its own if its `FILES` are there, else the
+    """Return the folder to which relative paths of a module refer: its own if its `FILES` are there, else the
     project's."""
     beside = source.resolve().parent
     return (

@@ -5,7 +5,7 @@ import numpy as np
 
 
 def may_touch(model: mujoco.MjModel, one: int | np.ndarray, other: int | np.ndarray) -> np.ndarray:
-    """Return whether `contype` and `conaffinity` let geoms touch.
+    """Return whether `contype` and `conaffinity` let two geoms touch.
 
     Args:
         model: The model.

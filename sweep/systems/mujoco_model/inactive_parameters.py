@@ -15,7 +15,7 @@ SITE_TYPE, FREE_JOINT = mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtJoint.mjJNT_FREE
 
 
 def explain_inactive(spec: ModelSpec, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
-    """Explain why a column cannot change anything, if the model proves it; see `System.explain_inactive_column`."""
+    """Explain why a parameter column cannot change any result, if the model proves it."""
     side, path = split_side_prefix(column)
     root = path.partition(".")[0]
     if root == "noise":

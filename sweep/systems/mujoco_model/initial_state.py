@@ -28,14 +28,14 @@ START, RANDOM, JOINT = "start", "start.random", "start.joint"
 
 
 class StartOffsets(NamedTuple):
-    """What is added to the state in which n rollouts would start otherwise."""
+    """Offsets that are added to the start states of n rollouts."""
 
     base: np.ndarray  # (n, 12) in the order of `BASE_UNITS`
     positions: np.ndarray  # (n, j) of the hinges and slides, rad or m
     velocities: np.ndarray  # (n, j) rad/s or m/s
 
     def add_to_states(self, model: mujoco.MjModel, base: int | None, limits: np.ndarray, qpos: Any, qvel: Any) -> None:
-        """Add the offsets to states in place. A joint that has limits stays within them.
+        """Add the offsets to states in place; joints with limits stay within them.
 
         Args:
             model: The model.
@@ -84,7 +84,7 @@ def _multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def start_parameters(model: mujoco.MjModel, has_base: bool) -> dict[str, Parameter]:
-    """Return the numbers of an initial state by path.
+    """Return the parameters of the initial state with default values, by path.
 
     Args:
         model: The model.
@@ -104,7 +104,7 @@ def count_random_numbers(model: mujoco.MjModel) -> int:
 
 
 def make_offsets(model: mujoco.MjModel, values: Mapping[str, Any], luck: np.ndarray) -> StartOffsets:
-    """Return the offsets of n rollouts.
+    """Return the start-state offsets of n rollouts.
 
     Args:
         model: The model.

@@ -62,7 +62,7 @@ Rows = Any  # an array of one rollout, or of a batch with a leading axis
 
 
 class Inputs(NamedTuple):
-    """Inputs of one rollout, which do not change from tick to tick."""
+    """Inputs of one rollout to the kernel, constant over all ticks."""
 
     policy: Any  # inputs of the controller; () where it is called between ticks
     rows: dict[str, Rows]  # fields in which models differ, in MuJoCo's shapes
@@ -71,7 +71,7 @@ class Inputs(NamedTuple):
 
 
 class Carry(NamedTuple):
-    """State of one rollout, of its controller and of its metrics, which changes from tick to tick."""
+    """State of one rollout (physics, controller, metrics) that the kernel carries from tick to tick."""
 
     qpos: Rows
     qvel: Rows
@@ -91,7 +91,7 @@ class Carry(NamedTuple):
 
 
 class KernelModelEngine(ModelEngine):
-    """The engine that compiles controller, MuJoCo's step and metrics of a tick into one kernel.
+    """Engine that compiles controller, MuJoCo's step and metrics of a tick into one kernel.
 
     Raises `InputError` where the kernel cannot simulate the model.
     """
@@ -124,7 +124,7 @@ class KernelModelEngine(ModelEngine):
         return read
 
     def check_varied(self, paths: Iterable[str]) -> Iterable[str]:
-        """Raise `InputError` for numbers of the model that the kernel does not read, see `ModelEngine`."""
+        """Raise `InputError` for varied numbers of the model that the kernel does not read."""
         numbers = ModelNumbers(self._model, {}, {})
         jax.eval_shape(partial(self._read_numbers, numbers))
         for path in paths:
@@ -144,7 +144,7 @@ class KernelModelEngine(ModelEngine):
 
     @cached_property
     def c_mujoco_agreement(self) -> agreement.Agreement:
-        """How well accelerations agree with C MuJoCo's on random states; stored beside the programs."""
+        """Differences of the kernel's accelerations from C MuJoCo's on random states; stored beside the programs."""
 
         def compare() -> tuple[agreement.Agreement]:
             return (agreement.compare_accelerations(self._layout, self._model, self._spec.keyframe_index),)

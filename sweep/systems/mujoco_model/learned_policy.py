@@ -1,4 +1,4 @@
-"""A learned policy fitted to a model: observation terms from the state, the network, and controls from its action."""
+"""A learned policy fitted to a model: observation from the state, network, and controls from the action."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -51,7 +51,8 @@ class LearnedPolicy(NamedTuple):
     assemble: Callable[..., Any]  # (belief, observation, state) -> numbers of each input, by name, and the next state
 
     def split_terms(self, numbers: Mapping[str, Any]) -> dict[str, list[tuple[str, str, np.ndarray]]]:
-        """Split the numbers of each network input into its terms: name, unit and numbers; of stacked ticks the last.
+        """Split the numbers of each network input into observation terms with names and units; of stacked ticks the
+        last.
 
         Args:
             numbers: Numbers of each input, by its name.
@@ -71,7 +72,7 @@ class LearnedPolicy(NamedTuple):
 
     @property
     def recorded_columns(self) -> tuple[str, ...]:
-        """Columns of what the policy saw in a tick, in the order of `record`: terms as the network received them."""
+        """Names of the columns that record the policy's observation and action in a tick."""
         found = []
         for name, terms in self.inputs.items():
             start = f"observation_{name}" if len(self.inputs) > 1 else "observation"
@@ -96,7 +97,7 @@ class LearnedPolicy(NamedTuple):
 
     @property
     def measured_terms(self) -> dict[str, ObservationTerm]:
-        """The terms that are measured and therefore have sensor errors, by label."""
+        """Observation terms that are measured and therefore have sensor errors, by label."""
         return {
             one.spec.label: one for terms in self.inputs.values() for one in terms if one.measurement_slice is not None
         }

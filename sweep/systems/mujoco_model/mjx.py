@@ -95,8 +95,7 @@ ALTERNATIVES = {  # by a part of what MJX says
 
 
 class MjxModelEngine(ModelEngine):
-    """Engine that simulates user models on MJX. Raises `InputError` where MJX cannot simulate a model or would ignore a
-    part of it."""
+    """Engine that simulates user models on MJX. Raises `InputError` for models that MJX cannot simulate fully."""
 
     dynamics = "mjx"
 
@@ -179,7 +178,7 @@ class MjxModelEngine(ModelEngine):
         return InputError(f"engine.name = {self._settings.name} is not allowed: {why} ({instead}or engine=native)")
 
     def check_varied(self, paths: Iterable[str]) -> Iterable[str]:
-        """Refuse numbers that MJX cannot vary, and return cautions; see `ModelEngine.check_varied`."""
+        """Raise `InputError` for parameters that MJX cannot vary; return cautions, one line each."""
         grounds, paths = ([path for path in paths if terrain.is_terrain_path(path) == one] for one in (True, False))
         if grounds and self._impl == "warp":
             raise self._refusal(f"Warp has one terrain for all rollouts, which {grounds[0]} varies", "engine=mjx, ")
@@ -502,7 +501,7 @@ def count_geom_pairs(model: mujoco.MjModel) -> int:
 
 
 def limited_contact_dims(model: mujoco.MjModel) -> list[int]:
-    """Return the contact dimensions of which MJX drops contacts beyond the model's `max_contact_points`."""
+    """Return the contact dimensions for which MJX drops contacts beyond the model's `max_contact_points`."""
     whole = copy(model)
     if (most := custom_numeric(whole, "max_contact_points")) is None:
         return []
@@ -518,7 +517,8 @@ def model_leaf(model: Any, name: str) -> Any:
 
 
 def with_used_features_enabled(model: mujoco.MjModel, most: Mapping[str, Any]) -> mujoco.MjModel:
-    """Return a copy of a model whose features that any rollout uses are not 0, so that the program includes them.
+    """Return a copy of a model in which features that any rollout uses are nonzero, so that the compiled program
+    includes them.
 
     Args:
         model: The model.

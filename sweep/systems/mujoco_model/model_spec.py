@@ -26,7 +26,7 @@ FILE_PATHS = ("model.mjcf", "model.controller", "model.terrain.file")  # whose v
 
 @dataclass(frozen=True)
 class ModelConfig:
-    """The group `model` of a configuration."""
+    """Parameters of the configuration group `model`."""
 
     mjcf: str = ""  # file, from the project's folder
     controller: str = ""  # module:function
@@ -72,8 +72,7 @@ TERM_NOISE_PARAMETERS = {  # errors of one term of a learned policy's observatio
 
 @dataclass(frozen=True)
 class SideValues:
-    """Values by path in which the world or the belief differs from the nominal model: numbers, or arrays over a
-    batch."""
+    """Values by path in which the world, or the belief, differs from the nominal model."""
 
     values: tuple[tuple[str, Any], ...] = ()
 
@@ -121,11 +120,11 @@ class ModelSpec:
 
     @cached_property
     def motor_law(self) -> MotorLaw | None:
-        """The law that clips controls to what motors can give; None where no joint has a motor."""
+        """Law that clips controls to what motors can deliver; None if no joint has a motor."""
         return make_motor_law(self.model, self.motors, self.actuator_networks)
 
     def model_values(self, world: SideValues) -> dict[str, Any]:
-        """Return the values of a side, by path, that are numbers of the compiled model."""
+        """Return those of a side's values, by path, that are numbers of the compiled model."""
         own = world.select_group("model").items()
         return {path: value for path, value in own if not terrain.is_terrain_path(path) and path not in FILE_PATHS}
 
@@ -153,7 +152,7 @@ class ModelSpec:
 
     @cached_property
     def parameters(self) -> dict[str, Parameter]:
-        """Fields of the parameters of noise, pushes, controller and terrain, by path."""
+        """Parameters of noise, pushes, controller and terrain with units and bounds, by path."""
         pushes = {f"push.{one.name}.{key}": about for one in self.pushes for key, about in PUSH_PARAMETERS.items()}
         own = {f"controller.{name}": quantity(value, "") for name, value in self.controller.parameters.items()}
         learned = self.controller.fitted_policy
@@ -174,7 +173,7 @@ class ModelSpec:
 
     @property
     def tracked_commands(self) -> tuple[str, ...]:
-        """Velocity commands whose errors are metrics: of a learned policy, or where there are schedules."""
+        """Names of velocity commands whose tracking errors are metrics."""
         names = tuple(name for name in VELOCITY_COMMANDS if name in self.controller.parameters)
         is_tracked = self.base_address is not None and (self.controller.fitted_policy or self.schedules)
         return names if is_tracked else ()
@@ -255,7 +254,7 @@ class ModelSpec:
 
     @property
     def policy_columns(self) -> tuple[str, ...]:
-        """Columns of what a learned policy saw and did; none of other controllers."""
+        """Columns of a learned policy's observations and actions; none for other controllers."""
         return self.controller.fitted_policy.recorded_columns if self.controller.fitted_policy else ()
 
     def time_series_columns(

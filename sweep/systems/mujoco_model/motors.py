@@ -1,4 +1,4 @@
-"""Limits of torque by speed of electric motors: less torque the faster they turn, none at the no-load speed."""
+"""Torque limits of electric motors that fall with speed, to zero at the no-load speed."""
 
 import fnmatch
 from collections.abc import Mapping
@@ -138,7 +138,7 @@ def _find_motors(error_prefix: str, pattern: str, model: mujoco.MjModel) -> tupl
 def make_motor_law(
     model: mujoco.MjModel, groups: tuple[MotorGroup, ...], networks: tuple[ActuatorNetwork, ...] = ()
 ) -> MotorLaw | None:
-    """Make the law of all actuators; None where no joint has a motor.
+    """Make the torque-clipping law of all actuators; None if no joint has a motor.
 
     Args:
         model: The model.
@@ -154,7 +154,7 @@ def make_motor_law(
 
 
 def make_motor_limits(groups: tuple[MotorGroup, ...], values: Mapping[str, Any], batch: Batch) -> MotorLimits | None:
-    """Return the limits of n rollouts; None where no joint has a motor.
+    """Return the torque limits of motors in n rollouts; None if no joint has a motor.
 
     Args:
         groups: The motors of the scenario.

@@ -1,4 +1,4 @@
-"""Groups of a scenario whose entries have names, such as pushes by name."""
+"""Parsing of configuration groups whose entries have names, such as pushes."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any

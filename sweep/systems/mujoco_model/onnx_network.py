@@ -1,4 +1,4 @@
-"""Networks in ONNX files as functions that JAX traces, see `onnx_operators` for what they may contain.
+"""ONNX networks as functions that JAX traces.
 
 Numbers have the precision of the engine, whatever the file's: a network in single precision becomes one in double
 precision on an engine in double precision.

@@ -33,11 +33,11 @@ class OperatorCall:
         self.name, self.attributes, self.outputs, self.opset = name, attributes, outputs, opset
 
     def attribute(self, name: str, default: Any = None) -> Any:
-        """Return an attribute, or its default."""
+        """Return the value of an attribute of the node, or a default."""
         return self.attributes.get(name, default)
 
     def attribute_or_input(self, name: str, inputs: Sequence[Any], place: int, default: Any = None) -> Any:
-        """Return a value that is an attribute in older operator sets and a constant input in newer ones.
+        """Return a value that older operator sets store as attribute and newer ones as constant input.
 
         Args:
             name: Name of the attribute.

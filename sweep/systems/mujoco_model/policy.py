@@ -36,7 +36,7 @@ def _draw_normal(key: Array, like: Array) -> Array:
 
 
 def select_numbers(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values that are no names."""
+    """Return those of the values that are numbers rather than names."""
     return {path: value for path, value in values.items() if not isinstance(value, str)}
 
 
@@ -69,8 +69,8 @@ class FirstTick(NamedTuple):
 
 
 class ControllerPrograms:
-    """Compiled functions of a user's controller, for any number of rollouts. Raises `InputError` where it is no valid
-    controller.
+    """Compiled functions of a user's controller for any number of rollouts. Raises `InputError` for invalid
+    controllers.
 
     `begin(belief, key) -> (start, state, duration)`: positions (nq,) and seconds, or None for the model's own.
     `policy(belief, observation, state, key) -> (ctrl, state)`: once a tick, of an observation (k,), controls (nu,).
@@ -291,7 +291,7 @@ class ControllerPrograms:
         return InputError(f"model.controller = {self._spec.config.controller} {what}")
 
     def call_user_code(self, function: Callable[..., Any], *args: Any, when: str = "", is_own: bool = True) -> Any:
-        """Call a function that runs the user's code, and locate its errors; see `run_user_code`.
+        """Call a function that runs the user's code, and locate errors in it.
 
         Args:
             function: the function.
@@ -323,7 +323,8 @@ class ControllerPrograms:
         return tuple(jax.jit(jax.vmap(one)) for one in each)
 
     def call_compiled(self, program: Callable[..., Any], *inputs: Any, when: str = "") -> Any:
-        """Wait for the results of a compiled program that has the controller in it, so that its errors are raised here.
+        """Call a compiled program that contains the controller, and wait, so that the controller's errors are raised
+        here.
 
         Args:
             program: The program.
@@ -432,7 +433,8 @@ class ControllerBatch:
         return self._joined([self._programs.compute_controls(one, self._when) for one in parts])
 
     def read_policy(self, slots: Any) -> np.ndarray:
-        """Return what learned policies saw and did in the latest tick, (slots, k); k is 0 for other controllers."""
+        """Return observations and actions of learned policies in the latest tick (slots, k); k is 0 for other
+        controllers."""
         learned, slots = self._programs.learned, np.asarray(slots, int)
         if learned is None:
             return np.zeros((len(slots), 0))

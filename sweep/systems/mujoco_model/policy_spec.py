@@ -79,7 +79,7 @@ Numbers = float | tuple[float, ...]
 
 @dataclass(frozen=True)
 class TermSpec:
-    """One term of an observation. Its numbers are clipped, then scaled, then stacked with those of earlier ticks."""
+    """One term of a policy's observation, which is clipped, scaled, and stacked with those of earlier ticks."""
 
     term: str  # what is observed: a name of the table below
     name: str = ""  # name in axes and messages; by default that of the sensor, or of the term
@@ -271,7 +271,7 @@ def require_clip_range(key: str, clip: Sequence[float]) -> None:
 
 
 def joint_values(error_prefix: str, config: Any, joints: Sequence[str]) -> np.ndarray:
-    """Return one number for each joint.
+    """Return one number per joint from a number, a list, or a mapping by joint names.
 
     Args:
         error_prefix: Key, for messages.

@@ -1,4 +1,4 @@
-"""Terrain of user models: a height field in the place of the model's floor.
+"""Terrain of user models: a height field that replaces the model's floor.
 
 Models of a batch share one structure. Each distinct terrain of a batch is a height field of its model, and each rollout
 collides with one of them.
@@ -41,7 +41,7 @@ PARAMETERS = {"kind": KIND, **SIZES, **NUMBERS}
 
 @dataclass(frozen=True)
 class TerrainConfig:
-    """What `model.terrain` says of its structure: kind, image, and points of the height field."""
+    """Structure of a terrain, from `model.terrain`: kind, image, and points of the height field."""
 
     geom: str = ""  # the plane that it replaces; "" for the only one
     file: str = ""  # image of the kind `image`
@@ -52,24 +52,24 @@ class TerrainConfig:
 
     @property
     def points(self) -> tuple[int, int]:
-        """Numbers of points along the y and the x axis."""
+        """Number of height-field points along the y and the x axis."""
         rows, columns = (max(2, round(side / self.resolution + 0.499999) + 1) for side in (self.width, self.length))
         return rows, columns
 
     @property
     def axes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Coordinates of the points along x (columns,) and y (rows,) in m, from the middle."""
+        """Coordinates (m) of the height-field points along x (columns,) and y (rows,), from the middle."""
         rows, columns = self.points
         return tuple(np.linspace(-side / 2, side / 2, n) for side, n in ((self.length, columns), (self.width, rows)))  # pyright: ignore[reportReturnType]
 
     def values_by_path(self) -> dict[str, Any]:
-        """Return what counts for rollouts beside the numbers of the terrain, by path."""
+        """Return the settings of the terrain's structure that affect rollouts, by path."""
         return {f"{PREFIX}{name}": getattr(self, name) for name in ("kind", "geom", *SIZES)} | (
             {f"{PREFIX}file": self.file} if self.file else {}
         )
 
     def with_values(self, values: Mapping[str, Any]) -> "TerrainConfig":
-        """Return this structure with other values, by path; paths of numbers are left out."""
+        """Return this terrain structure with other settings, by path; numeric parameters are ignored."""
         own = {path.removeprefix(PREFIX): value for path, value in values.items() if path.startswith(PREFIX)}
         return replace(self, **{key: value for key, value in own.items() if key in (*SIZES, "kind", "file")})
 
@@ -104,7 +104,7 @@ def parse_terrain(given: Any) -> tuple[TerrainConfig | None, dict[str, Any]]:
 
 
 def check_terrain_size(shape: TerrainConfig) -> None:
-    """Raise `InputError` where a terrain has too many points, or where an image lacks its file."""
+    """Raise `InputError` if a terrain has too many points, or its image file is not given."""
     rows, columns = shape.points
     if rows * columns > MOST_POINTS:
         raise InputError(
@@ -116,7 +116,7 @@ def check_terrain_size(shape: TerrainConfig) -> None:
 
 
 def check_height_range(shape: TerrainConfig, numbers: Mapping[str, Any]) -> None:
-    """Raise `InputError` where heights leave the range of a height field.
+    """Raise `InputError` if terrain heights exceed the range of a height field.
 
     Args:
         shape: The structure.
@@ -168,7 +168,7 @@ def _find_floor(spec: mujoco.MjSpec, shape: TerrainConfig) -> mujoco.MjsGeom:
 
 
 def require_level_floor(model: mujoco.MjModel) -> None:
-    """Raise `InputError` where the plane that a terrain replaces is turned."""
+    """Raise `InputError` if the floor plane that a terrain replaces is rotated."""
     geom = find_terrain_geom(model)
     if not np.array_equal(model.geom_quat[geom], [1, 0, 0, 0]):
         name = model.geom(geom).name
@@ -176,14 +176,14 @@ def require_level_floor(model: mujoco.MjModel) -> None:
 
 
 def find_terrain_geom(model: mujoco.MjModel) -> int:
-    """Return the index of the geom that is the terrain."""
+    """Return the index of the terrain's geom in a model."""
     field = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_HFIELD, f"{FIELD}0")
     (geom,) = np.flatnonzero((model.geom_type == int(Shape.mjGEOM_HFIELD)) & (model.geom_dataid == field))
     return int(geom)
 
 
 def height_data_slice(model: mujoco.MjModel, number: int = 0) -> slice:
-    """Return where a terrain's heights are in a model's `hfield_data`.
+    """Return the slice of a model's `hfield_data` that holds the heights of one terrain.
 
     Args:
         model: The model.
@@ -195,7 +195,7 @@ def height_data_slice(model: mujoco.MjModel, number: int = 0) -> slice:
 
 
 class TerrainBatch(NamedTuple):
-    """The terrains of n rollouts: k distinct ones."""
+    """The terrains of n rollouts, k of which are distinct."""
 
     shape: TerrainConfig
     heights: np.ndarray  # (k, rows, columns) m, in the axes of the terrain's geom
@@ -204,11 +204,11 @@ class TerrainBatch(NamedTuple):
 
     @property
     def height_data(self) -> np.ndarray:
-        """Heights (k, rows * columns) as MuJoCo stores them, in units of `RANGE`."""
+        """Heights (k, rows * columns) in MuJoCo's storage order, in units of `RANGE`."""
         return (self.heights / RANGE).astype(np.float32).reshape(len(self.heights), -1)
 
     def metric_inputs(self, place: np.ndarray) -> dict[str, np.ndarray]:
-        """Return what metrics are told of the ground.
+        """Return the terrain data that metrics need, by name.
 
         Args:
             place: Places (n, 3) of the terrain's geom in the world, m.
@@ -279,7 +279,7 @@ def make_terrain_batch(
 
 
 def lift_above_terrain(ground: TerrainBatch, batch: Batch, qpos: np.ndarray) -> None:
-    """Lift free bodies to their place above the terrain, or lower them.
+    """Shift free bodies vertically so that they start at their height above the terrain.
 
     Each tree that begins with a free joint keeps, between its geoms and the highest ground under them, the least
     distance that its lowest geom has from the level floor.
@@ -312,7 +312,7 @@ def _box_centres(model: mujoco.MjModel, geoms: np.ndarray, turns: np.ndarray) ->
 
 
 def geom_half_extents(model: mujoco.MjModel, geom: int, turns: np.ndarray) -> np.ndarray:
-    """Return half the extents of a geom along the world's axes, exact but for meshes, whose boxes count.
+    """Return half the extents of a geom along world axes; meshes count by their bounding boxes.
 
     Args:
         model: The model.

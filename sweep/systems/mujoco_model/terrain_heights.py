@@ -30,7 +30,7 @@ ROUNDING = 1e-9  # of a cell, within which a place counts as on its edge
 
 
 class GridPoints(NamedTuple):
-    """Places of a height field: in the field's own axes, and along and across the heading."""
+    """Points of a height field, in its own axes, and along and across the heading."""
 
     x: np.ndarray  # (rows, columns) m
     y: np.ndarray
@@ -114,7 +114,7 @@ def _shares(place: np.ndarray) -> np.ndarray:
 
 
 class TerrainKind(NamedTuple):
-    """A generator of heights, and the numbers that it uses."""
+    """A generator of terrain heights, with the parameters that it uses."""
 
     heights: Callable[[GridPoints, Mapping[str, float], np.ndarray | None], np.ndarray]
     uses: tuple[str, ...]
@@ -153,7 +153,7 @@ def compute_heights(
 
 
 def greatest_height(kind: str, numbers: Mapping[str, Any], reach: float) -> Any:
-    """Return a bound on the size of a terrain's heights, a number or an array as the numbers are.
+    """Return an upper bound on the absolute heights of a terrain.
 
     Args:
         kind: One of `KINDS`.

@@ -31,7 +31,7 @@ Places = slice | np.ndarray  # of numbers in an array
 
 
 def as_slice_if_contiguous(numbers: np.ndarray) -> Places:
-    """Return ascending numbers without a gap as a slice, by which NumPy makes no copy; others as they are."""
+    """Return ascending indices without gaps as a slice (no copy in NumPy), other indices unchanged."""
     return slice(numbers[0], numbers[-1] + 1) if len(numbers) and np.all(np.diff(numbers) == 1) else numbers
 
 
@@ -84,7 +84,7 @@ class ModelPartIndices:
 
 
 class ModelStart(NamedTuple):
-    """The rollouts of a batch before their first tick."""
+    """State of a batch of rollouts before their first tick, from which metrics begin."""
 
     parts: ModelPartIndices
     qpos: Array  # (n, nq)
@@ -93,7 +93,7 @@ class ModelStart(NamedTuple):
 
     @property
     def torque_groups(self) -> int:
-        """Number of drives of hinge joints: each is a group of its own."""
+        """Number of joint groups for torques: one for each drive of a hinge joint."""
         return len(self.parts.hinge_gears)
 
     @property
@@ -107,7 +107,7 @@ class ModelStart(NamedTuple):
         return self.qpos[:, self.parts.base_quat]
 
     def constant_state(self, value: Any) -> Array:
-        """Return a constant for each rollout, floats in the rollouts' precision."""
+        """Return a constant as a metric state for each rollout, in the rollouts' precision."""
         xp, value = array_namespace(self.qpos), np.asarray(value)
         dtype = self.qpos.dtype if value.dtype.kind == "f" else value.dtype
         return xp.broadcast_to(xp.asarray(value, dtype), (len(self.qpos), *value.shape))
@@ -121,7 +121,7 @@ class ModelStart(NamedTuple):
 
 
 class ModelTick:
-    """The physics steps of all rollouts of a batch since the previous report.
+    """Report of the physics steps of a batch since the previous report, with which metrics are updated.
 
     Args:
         parts: Places of the model's parts.
@@ -199,7 +199,8 @@ class ModelTick:
         return self.steps["sensordata"][..., self.parts.foot_sensors]
 
     def motion_along_command(self, before: Array) -> tuple[None, int]:
-        """Return no way, since the direction never changes, and the number of steps."""
+        """Return zero displacement (it follows from the end position, as the direction is constant) and the number of
+        steps."""
         return None, self.number
 
 
@@ -226,7 +227,7 @@ class GroundTouchdownPoints(NamedTuple):
 
 
 class ModelRollout(NamedTuple):
-    """The rollouts of a batch after their last tick, as NumPy arrays (n, ...)."""
+    """State of a batch of rollouts after their last tick, as NumPy arrays (n, ...)."""
 
     parts: ModelPartIndices
     steps: np.ndarray  # number of physics steps
@@ -249,7 +250,7 @@ class ModelRollout(NamedTuple):
         return self.mass * GRAVITY
 
     def integrate_sum(self, total: np.ndarray) -> np.ndarray:
-        """Return the integral over time of what was summed over physics steps."""
+        """Return the integral over time of a quantity that was summed over physics steps."""
         return total * self.parts.timestep
 
     def share(self, count: np.ndarray) -> np.ndarray:
@@ -257,7 +258,7 @@ class ModelRollout(NamedTuple):
         return count / np.maximum(self.steps, 1)
 
     def displacement_along(self, displacement: np.ndarray) -> np.ndarray:
-        """Return the part of displacements (n, 3) along `model.direction`."""
+        """Return the component of displacements (n, 3) along `model.direction`."""
         return displacement @ self.parts.direction
 
 
@@ -290,7 +291,7 @@ def interpolate_heights(fields: Array, index: Array, place: Array, x: np.ndarray
 def make_step_share_metric(
     count: Callable[[ModelTick], Array], column: str, meaning: str, needs: tuple[str, ...] = ()
 ) -> Metric[Array]:
-    """Make a metric of the share of the physics steps in which something holds.
+    """Make a metric for the share of physics steps in which a condition holds.
 
     Args:
         count: Number of the steps of a report in which it holds, (n,).
@@ -308,7 +309,7 @@ def make_step_share_metric(
 
 
 def sum_share_at_limit(values: Array, limits: Array) -> Array:
-    """Return the share of values that are at an end of their range, summed over steps.
+    """Return the share of values at an end of their range, summed over steps.
 
     Args:
         values: Numbers (n, s, k).

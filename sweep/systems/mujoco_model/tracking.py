@@ -25,7 +25,7 @@ def tracking_columns(names: Sequence[str]) -> dict[str, str]:
 
 
 class VelocityTracking:
-    """Sums of squared errors of velocities, of one rollout.
+    """State of the tracking metric of one rollout: sums of squared velocity errors.
 
     Args:
         model: The model, whose first free joint is the base.
@@ -39,11 +39,11 @@ class VelocityTracking:
         self._quat, self._linear, self._yaw = slice(place + 3, place + 7), slice(dof, dof + 3), dof + 5
 
     def begin(self) -> Array:
-        """Return the sums at the start: m^2/s^2, rad^2/s^2, and the number of ticks."""
+        """Return the initial sums of squared errors (m^2/s^2, rad^2/s^2) and the number of ticks, all zero."""
         return jnp.zeros(3)
 
     def update(self, total: Array, belief: Mapping[str, Any], state: Mapping[str, Array]) -> Array:
-        """Add a tick.
+        """Add the squared velocity errors of a tick.
 
         Args:
             total: Sums so far (3,).
@@ -57,6 +57,6 @@ class VelocityTracking:
         return total + jnp.stack([jnp.asarray(x, total.dtype) for x in (linear, error.get("yaw_rate", 0.0), 1.0)])
 
     def compute(self, total: Array) -> dict[str, Array]:
-        """Return the columns of a rollout from its sums."""
+        """Return the velocity-tracking columns of a rollout."""
         mean = jnp.sqrt(total[:2] / jnp.maximum(total[2], 1.0))
         return {name: mean[k] for k, name in enumerate(COLUMNS) if name in tracking_columns(self._commands)}

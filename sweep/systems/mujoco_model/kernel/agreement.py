@@ -35,7 +35,7 @@ class Agreement(NamedTuple):
         )
 
     def require(self, model: str) -> None:
-        """Raise `InputError` where the difference is larger than allowed."""
+        """Raise `InputError` if the kernel's accelerations differ from C MuJoCo's by more than allowed."""
         if not self.largest <= ALLOWED:
             raise InputError(
                 f"engine.name = kernel is not allowed for {model}: {self}, {ALLOWED:g} is allowed (engine=native)"

@@ -47,7 +47,7 @@ CORNERS = np.array([[1, y, z] for y in (-1, 1) for z in (-1, 1)], float)  # one 
 
 
 class ConstraintLaw(NamedTuple):
-    """Stiffness and damping of a constraint, and its impedance by depth, of MuJoCo's `solref` and `solimp`."""
+    """Stiffness, damping and impedance of a constraint, as MuJoCo's `solref` and `solimp` define them."""
 
     stiffness: Scalar  # 1/s^2
     damping: Scalar  # 1/s
@@ -55,7 +55,7 @@ class ConstraintLaw(NamedTuple):
 
 
 class CandidatePoint(NamedTuple):
-    """A point of a body that can touch a plane: of a sphere, of an end of a capsule, or a corner of a box."""
+    """A point of a body that may touch a plane: a sphere's centre, an end of a capsule, or a corner of a box."""
 
     stack: int
     centre: Vector  # in the body's axes
@@ -68,7 +68,7 @@ class CandidatePoint(NamedTuple):
 
 
 class PlaneContacts(NamedTuple):
-    """Contacts of like points with a plane: frame, inverse regularization, and wanted acceleration."""
+    """Contacts of like points with a plane: frame, inverse regularization, and reference acceleration."""
 
     point: CandidatePoint
     at: Vector  # from the base's origin
@@ -85,7 +85,7 @@ class PlaneContacts(NamedTuple):
 
 
 class JointRow(NamedTuple):
-    """Constraint on the acceleration of one joint of each limb: a limit of its range, or its friction.
+    """Constraint row for one joint of each limb: a range limit, or joint friction.
 
     Or on that of the base in one direction: the friction of the free joint.
     """
@@ -99,7 +99,7 @@ class JointRow(NamedTuple):
 
 
 class Constraints(NamedTuple):
-    """All constraints of a state."""
+    """All constraints that act in a state: contacts and joint rows."""
 
     contacts: tuple[PlaneContacts, ...]
     rows: tuple[JointRow, ...]
@@ -107,7 +107,7 @@ class Constraints(NamedTuple):
 
 
 def find_candidate_points(layout: RobotLayout, numbers: ModelNumbers, plane: int) -> list[CandidatePoint]:
-    """Return the places that may touch a plane; those of a body alone in rows of `layout.group`."""
+    """Return the points of the robot that may touch a plane."""
     model, found = numbers.model, []
     for s, stack in enumerate(layout.stacks):
         singles: list[CandidatePoint] = []
@@ -174,7 +174,7 @@ def _pack(singles: list[CandidatePoint], group: int) -> list[CandidatePoint]:
 def find_contacts(
     layout: RobotLayout, numbers: ModelNumbers, state: RobotState, smooth: SmoothTerms
 ) -> list[PlaneContacts]:
-    """Find the contacts of a state with all planes; those that are apart have no weight."""
+    """Compute the contacts of a state with all planes; separated points have zero weight."""
     found = []
     for plane in layout.planes:
         normal, start = known_vector(plane.normal), locate_plane(numbers, plane)
@@ -194,7 +194,7 @@ def find_contacts(
 
 
 def locate_plane(numbers: ModelNumbers, plane: CollisionPlane) -> Vector:
-    """Return a place of a plane in the world (m), which may differ between rollouts."""
+    """Return a point of a plane in the world (m), which may differ between rollouts."""
     if numbers.model.geom_bodyid[plane.geom]:
         return known_vector(plane.position)
     return numbers.vector("geom_pos", np.array([plane.geom]))
@@ -316,7 +316,7 @@ def _mix(
 
 
 def make_constraint_law(numbers: ModelNumbers, reference: list[Scalar], impedance: list[Scalar]) -> ConstraintLaw:
-    """Make a law of MuJoCo's `solref` and `solimp`."""
+    """Make a constraint law from MuJoCo's `solref` and `solimp`."""
     least, top, middle = (clip(impedance[k], 1e-4, 0.9999) for k in (0, 1, 3))
     width, power = largest(impedance[2], TINY), impedance[4]
     if not (middle.is_known and power.is_known and reference[0].is_known):
@@ -339,7 +339,7 @@ def _same(number: Scalar) -> float:
 
 
 def compute_impedance(law: ConstraintLaw, depth: Scalar) -> Scalar:
-    """Return the impedance at a depth (m), see `getimpedance`."""
+    """Return a constraint's impedance at a depth (m), as MuJoCo's `getimpedance`."""
     least, top, width, middle, power = law.impedance
     if (top - least).is_exactly(0):
         return least
@@ -353,7 +353,7 @@ def compute_impedance(law: ConstraintLaw, depth: Scalar) -> Scalar:
 
 
 def find_joint_rows(layout: RobotLayout, numbers: ModelNumbers, state: RobotState) -> list[JointRow]:
-    """Find limits and friction of all joints that have them."""
+    """Compute the constraint rows of all joints that have limits or friction."""
     model, found = numbers.model, _find_base_friction(layout, numbers, state)
     for joint in layout.joints:
         ids = layout.stacks[joint[0]].joints[joint[1]]
@@ -604,7 +604,7 @@ def contact_cost_line(
 
 
 def joint_row_force(row: JointRow, residual: Scalar) -> tuple[Scalar, Scalar]:
-    """Return the force of a joint's row, and the cost's second derivative."""
+    """Return the force of a joint's constraint row, and the second derivative of its cost."""
     if row.most is None:
         inside = residual < ZERO
         return -(row.weight * smallest(residual, ZERO)), where(inside, row.weight, ZERO)

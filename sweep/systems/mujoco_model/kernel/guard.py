@@ -1,4 +1,4 @@
-"""Contacts that the kernel does not simulate: it watches for them, so that a rollout with one is simulated elsewhere.
+"""Detection of contacts that the kernel does not simulate, so that such rollouts are simulated by another engine.
 
 Each shape is enclosed by a capsule or a box, so that a distance found here is never larger than the true one.
 """
@@ -56,7 +56,7 @@ class EnclosingHull(NamedTuple):
 
 
 def find_unsimulated_pairs(model: mujoco.MjModel) -> list[tuple[int, int]]:
-    """Return the pairs of geoms that may touch and that the kernel does not simulate."""
+    """Return the pairs of geoms that may touch but whose contacts the kernel does not simulate."""
     explicit = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
     kinds = model.geom_type[pairs := np.concatenate([find_geom_pairs(model), explicit])]
     is_simulated = (kinds == PLANE).any(axis=1) & np.isin(kinds, SHAPES).any(axis=1)
@@ -90,7 +90,7 @@ def as_capsule(hull: EnclosingHull) -> EnclosingHull:
 def has_near_pair(
     layout: RobotLayout, numbers: ModelNumbers, state: RobotState, smooth: SmoothTerms, pairs: list[tuple[int, int]]
 ) -> Bool[Array, ""]:
-    """Return whether any of the pairs touches, or nearly so.
+    """Return whether any of the geom pairs touches, or nearly so.
 
     Args:
         layout: Stacks of like bodies of the robot.

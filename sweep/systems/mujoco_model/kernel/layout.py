@@ -44,7 +44,7 @@ FEW = 2  # bodies of a stack, at least
 
 
 class BodyStack(NamedTuple):
-    """Like bodies, one of each limb, in which one operation computes all; or one body alone."""
+    """Corresponding bodies of all limbs, computed together by array operations; or a single body."""
 
     bodies: np.ndarray  # (n,) ids
     parent: int  # index of the stack that holds their parents; -1 for the world's
@@ -66,7 +66,7 @@ class CollisionPlane(NamedTuple):
 
 
 class RobotLayout(NamedTuple):
-    """The stacks of a model, each after that of its parents; the first is the base."""
+    """The stacks of corresponding bodies in a model, each after that of its parents; the first is the base."""
 
     stacks: tuple[BodyStack, ...]
     group: int  # bodies of a stack
@@ -81,7 +81,7 @@ class RobotLayout(NamedTuple):
 
     @property
     def joints(self) -> list[tuple[int, int]]:
-        """All joints from the base outward: index of the stack, and number of the joint in it."""
+        """All joints from the base outward, as index of the stack and number of the joint in it."""
         return [(s, k) for s, stack in enumerate(self.stacks) for k in range(len(stack.joints))]
 
     def moving_joints(self, stack: int) -> list[tuple[int, int]]:
@@ -97,7 +97,8 @@ class RobotLayout(NamedTuple):
 
 
 def find_layout(model: mujoco.MjModel) -> RobotLayout:
-    """Find the stacks of like bodies of a model. Raises `InputError` where the kernel cannot simulate the model."""
+    """Group the bodies of a model into stacks of corresponding limb bodies. Raises `InputError` if the kernel cannot
+    simulate the model."""
     require_supported_features(model)
     planes = find_planes(model)
     children: dict[int, list[int]] = {b: [] for b in range(model.nbody)}
@@ -168,7 +169,7 @@ def find_layout(model: mujoco.MjModel) -> RobotLayout:
 
 
 def find_stack(layout: RobotLayout, body: int) -> tuple[int, int]:
-    """Return the stack of a body, and its place in it. Raises `InputError` where it is not the robot's."""
+    """Return the stack that contains a body, and its index there. Raises `InputError` for bodies outside the robot."""
     for s, stack in enumerate(layout.stacks):
         found = np.flatnonzero(stack.bodies == body)
         if len(found):
@@ -177,7 +178,7 @@ def find_stack(layout: RobotLayout, body: int) -> tuple[int, int]:
 
 
 def find_planes(model: mujoco.MjModel) -> tuple[CollisionPlane, ...]:
-    """Return the planes of a model that collide, where they are in the world."""
+    """Return the collision planes of a model with their poses in the world."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     normals = data.geom_xmat.reshape(-1, 3, 3)[:, :, 2]
@@ -217,17 +218,17 @@ def touches_plane(model: mujoco.MjModel, geom: int, plane: int) -> bool:
 
 
 def joint_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
-    """Return the actuators of a joint."""
+    """Return the actuators that drive a joint."""
     return [k for k in range(model.nu) if model.actuator_trnid[k, 0] == joint]
 
 
 def unsupported_model_error(what: str) -> InputError:
-    """Return the error for a model that has something which the kernel does not simulate."""
+    """Return the error for a model with a feature that the kernel does not simulate."""
     return InputError(f"engine.name = kernel is not allowed: it does not simulate {what} (native and mjx do)")
 
 
 def require_supported_features(model: mujoco.MjModel) -> None:
-    """Raise `InputError`, naming all features of a model that the kernel does not simulate."""
+    """Raise `InputError` with the first feature of a model that the kernel does not simulate."""
     opt, jnt = model.opt, model.jnt_type
     on_joint = np.isin(model.actuator_trntype, [int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)])
     driven = jnt[model.actuator_trnid[:, 0]] if on_joint.all() and model.nu else np.zeros(0, int)

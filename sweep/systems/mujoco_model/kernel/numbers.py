@@ -11,7 +11,7 @@ from sweep.systems.mujoco_model.kernel.scalars import Scalar, Vector, largest, q
 
 
 class ModelNumbers:
-    """The numbers of one rollout's model.
+    """Access to the numbers of one rollout's model: constants, or values that differ between rollouts.
 
     Args:
         model: The nominal model.
@@ -24,7 +24,7 @@ class ModelNumbers:
         self.read: set[str] = set()  # fields that were asked for
 
     def get(self, name: str, ids: np.ndarray | None = None, *component: int) -> Scalar:
-        """Return a number of each of some elements, or a number of the options.
+        """Return a model field for some elements, or a number of the simulation options.
 
         Args:
             name: MuJoCo's name of the field.
@@ -42,11 +42,11 @@ class ModelNumbers:
         return name in self._varied and bool(np.any(self._varied[name][place]))
 
     def vector(self, name: str, ids: np.ndarray | None = None) -> Vector:
-        """Return the first three numbers of a field as a vector."""
+        """Return the first three numbers of a model field as a vector."""
         return Vector(*(self.get(name, ids, k) for k in range(3)))
 
     def is_used(self, name: str, ids: np.ndarray) -> bool:
-        """Whether any of the numbers of a field may be other than 0."""
+        """Return whether any number of a model field may differ from 0."""
         return self._differs(name, ids) or bool(np.any(fields.field_values(self.model, name)[ids]))
 
     def rotation(self, name: str, ids: np.ndarray) -> tuple[Vector, Vector, Vector] | None:
@@ -66,7 +66,7 @@ class ModelNumbers:
 
 
 def raise_to_power(base: Scalar, exponent: float) -> Scalar:
-    """Return a number to a constant power."""
+    """Return a number raised to a constant power."""
     if exponent == int(exponent):
         found = base
         for _ in range(int(exponent) - 1):

@@ -19,7 +19,7 @@ Operand = Union["Scalar", float, int]
 
 
 class Scalar:
-    """A number that is known, or is computed in each rollout."""
+    """A number in the kernel's program: a known constant, or computed in each rollout."""
 
     __slots__ = ("value",)
     __array_ufunc__ = None
@@ -37,7 +37,7 @@ class Scalar:
         return isinstance(self.value, (float, np.ndarray))
 
     def is_exactly(self, number: float) -> bool:
-        """Whether it is known to be this number."""
+        """Return whether the number is the known constant `number`."""
         return isinstance(self.value, float) and self.value == number
 
     @property
@@ -95,7 +95,7 @@ class Scalar:
         return _apply(lambda a, b: a < b, self, as_scalar(other))
 
     def member(self, k: int) -> "Scalar":
-        """Return the number of one body of a stack."""
+        """Return the value for one body of a stack."""
         return Scalar(self.value[k]) if self.is_stack else self
 
     def total(self, n: int) -> "Scalar":
@@ -157,7 +157,7 @@ def square_root(number: Operand) -> Scalar:
 
 
 class Vector(NamedTuple):
-    """Three components, which fold constants; `sweep.core.vectors.Vector` is one of arrays."""
+    """A 3-vector of scalars that fold constants, unlike the arrays of `sweep.core.vectors.Vector`."""
 
     x: Scalar
     y: Scalar
@@ -198,7 +198,7 @@ NOTHING = Vector(ZERO, ZERO, ZERO)
 
 
 class Symmetric(NamedTuple):
-    """A symmetric 3x3 matrix."""
+    """A symmetric 3x3 matrix of scalars."""
 
     xx: Scalar
     yy: Scalar
@@ -228,13 +228,13 @@ def as_symmetric(rows: Sequence[Vector]) -> Symmetric:
 
 
 def isotropic(value: Operand) -> Symmetric:
-    """Return a multiple of the identity."""
+    """Return `value` times the identity matrix."""
     value = as_scalar(value)
     return Symmetric(value, value, value, ZERO, ZERO, ZERO)
 
 
 def outer_product(v: Vector, factor: Operand) -> Symmetric:
-    """Return factor v vᵀ."""
+    """Return the matrix factor v vᵀ."""
     w = v * factor
     return Symmetric(w.x * v.x, w.y * v.y, w.z * v.z, w.x * v.y, w.x * v.z, w.y * v.z)
 

@@ -1,4 +1,4 @@
-"""Readings of sensors in a state, for the types of sensors that policies of legged robots use."""
+"""Sensor readings in a state, for the sensor types that policies of legged robots use."""
 
 from collections.abc import Callable, Container
 from typing import Any
@@ -76,7 +76,7 @@ class Frame:
 
     @property
     def position(self) -> Vector:
-        """Place in the world (m)."""
+        """Position of the frame in the world (m)."""
         return self._state.position + self.place
 
     @property
@@ -95,7 +95,7 @@ class Frame:
 
     @property
     def quat(self) -> tuple[Scalar, ...]:
-        """Orientation in the world, as a unit quaternion (w, x, y, z)."""
+        """Orientation of the frame, computed only for frames of the base."""
         numbers, found, joints = self._numbers, tuple(self._state.quat), self._state.angles
         for s in self._layout.ancestors(self._stack):
             stack = self._layout.stacks[s]
@@ -150,7 +150,7 @@ def compute_sensors(
 
 
 def find_unsupported_sensors(layout: RobotLayout, model: mujoco.MjModel) -> dict[int, str]:
-    """Return the sensors that are not computed, with the reason."""
+    """Return the sensors of a model that the kernel does not compute, with the reason."""
     why = {k: _why_unknown(layout, model, k) for k in range(model.nsensor)}
     return {k: reason for k, reason in why.items() if reason}
 

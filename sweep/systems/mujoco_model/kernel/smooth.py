@@ -28,7 +28,7 @@ UPRIGHT: Axes = (Vector(ONE, ZERO, ZERO), Vector(ZERO, ONE, ZERO), Vector(ZERO, 
 
 
 class SpatialVector(NamedTuple):
-    """Velocity of a body at the base's origin and angular velocity; or a force and its moment about that origin."""
+    """Velocity and angular velocity of a body, or force and moment, referred to the base's origin."""
 
     linear: Vector
     angular: Vector
@@ -43,7 +43,7 @@ class SpatialVector(NamedTuple):
         return SpatialVector(self.linear * factor, self.angular * factor)
 
     def dot(self, other: "SpatialVector") -> Scalar:
-        """Return the power of a force at a motion."""
+        """Return the scalar product of motion and force, the power."""
         return self.linear.dot(other.linear) + self.angular.dot(other.angular)
 
     def velocity_at(self, point: Vector) -> Vector:
@@ -74,7 +74,7 @@ class RigidInertia(NamedTuple):
         return RigidInertia(self.mass + other.mass, self.moment + other.moment, self.inertia + other.inertia)
 
     def momentum(self, motion: SpatialVector) -> SpatialVector:
-        """Return the momentum at a motion."""
+        """Return the momentum of the body at a motion."""
         return SpatialVector(
             motion.linear * self.mass + motion.angular.cross(self.moment),
             self.moment.cross(motion.linear) + self.inertia @ motion.angular,
@@ -93,7 +93,7 @@ NO_INERTIA = RigidInertia(ZERO, NOTHING, NO_MATRIX)
 
 
 class BodyPose(NamedTuple):
-    """Place, axes and motion of the bodies of a stack."""
+    """Position, axes and motion of the bodies in a stack."""
 
     origin: Vector  # from the base's origin
     axes: Axes
@@ -104,7 +104,7 @@ class BodyPose(NamedTuple):
 
 
 class SmoothTerms(NamedTuple):
-    """Kinematics, mass matrix and bias forces of a state."""
+    """Kinematics, mass matrix and bias forces of a state, without constraints."""
 
     places: tuple[BodyPose, ...]  # by stack
     motions: dict[tuple[int, int], SpatialVector]  # of each joint per unit of its rate
@@ -204,7 +204,7 @@ def compute_smooth(layout: RobotLayout, numbers: ModelNumbers, state: RobotState
 
 
 def inner_joints(layout: RobotLayout, joint: tuple[int, int]) -> list[tuple[int, int]]:
-    """Return the joints between the base and `joint`, from the base outward, without itself."""
+    """Return the joints between the base and `joint`, from the base outward, excluding `joint`."""
     moving = layout.moving_joints(joint[0])
     return moving[: moving.index(joint)]
 

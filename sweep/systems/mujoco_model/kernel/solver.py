@@ -50,7 +50,7 @@ class Acceleration(NamedTuple):
     joints: dict[Joint, Scalar]
 
     def add_scaled(self, factor: Scalar, other: "Acceleration") -> "Acceleration":
-        """Return self + factor other."""
+        """Return self + factor * other."""
         return Acceleration(
             self.base + other.base * factor, {j: x + other.joints[j] * factor for j, x in self.joints.items()}
         )
@@ -61,13 +61,13 @@ class Acceleration(NamedTuple):
 
 
 class Residuals(NamedTuple):
-    """Residuals of all contacts and rows."""
+    """Acceleration residuals of all contacts and joint rows."""
 
     contacts: tuple[tuple[Scalar, ...], ...]
     rows: tuple[Scalar, ...]
 
     def add_scaled(self, factor: Scalar, other: "Residuals") -> "Residuals":
-        """Return self + factor other."""
+        """Return self + factor * other."""
         contacts = tuple(
             tuple(a + b * factor for a, b in zip(*pair, strict=True))
             for pair in zip(self.contacts, other.contacts, strict=True)
@@ -76,7 +76,7 @@ class Residuals(NamedTuple):
 
 
 class StackTotal:
-    """A sum of numbers; those of stacks are added up over the stack once, when the sum is asked for."""
+    """A sum of numbers over joints; terms of stacks are summed over the stack at the end."""
 
     def __init__(self, single: Scalar = ZERO):
         self._single, self._stack = single, ZERO
@@ -92,12 +92,12 @@ class StackTotal:
 
     @property
     def value(self) -> Scalar:
-        """The sum."""
+        """The sum over all terms."""
         return self._single if self._stack.is_exactly(0) else self._single + self._stack.total(1)
 
 
 class StepProblem(NamedTuple):
-    """The equation of a step: M a = f + forces of constraints."""
+    """The equation of a physics step, M a = f + constraint forces, solved by Newton's method."""
 
     layout: RobotLayout
     smooth: SmoothTerms
@@ -109,7 +109,7 @@ class StepProblem(NamedTuple):
         return self.layout.stacks[joint[0]].n
 
     def momentum(self, a: Acceleration) -> Acceleration:
-        """Return M a."""
+        """Return the product M a of mass matrix and acceleration."""
         smooth, has_base = self.smooth, self.layout.has_free_base
         base = [StackTotal() for _ in range(6)]
         joints = {joint: StackTotal() for joint in a.joints}
@@ -130,7 +130,7 @@ class StepProblem(NamedTuple):
         )
 
     def residuals(self, a: Acceleration, wanted: bool) -> Residuals:
-        """Return the accelerations along all constraints, minus the wanted ones if `wanted`."""
+        """Return the accelerations along all constraints, minus the reference accelerations if `wanted`."""
         contacts = []
         for one in self.constraints.contacts:
             moved = a.base if self.layout.has_free_base else STILL
@@ -151,7 +151,7 @@ class StepProblem(NamedTuple):
         return Residuals(tuple(contacts), tuple(rows))
 
     def constraint_force(self, residuals: Residuals) -> Acceleration:
-        """Return the generalized forces of constraints."""
+        """Return the generalized forces of all constraints."""
         base = [StackTotal() for _ in range(6)]
         joints = {joint: StackTotal() for joint in self.force.joints}
         for one, residual in zip(self.constraints.contacts, residuals.contacts, strict=True):
@@ -294,7 +294,7 @@ class StepProblem(NamedTuple):
                 entries[chain[j], joint].add(power, m)
 
     def first_iterate(self, warm: Acceleration) -> "Iterate":
-        """Return the first iterate, at given accelerations."""
+        """Return the first Newton iterate, at given accelerations."""
         residuals = self.residuals(warm, wanted=True)
         return self._iterate(warm, self.momentum(warm), residuals)
 
@@ -314,7 +314,7 @@ class StepProblem(NamedTuple):
         return square_root(total.value)
 
     def next_iterate(self, now: "Iterate") -> "Iterate":
-        """Return the next iterate: Newton's direction, and a search for the step length of least cost."""
+        """Return the next Newton iterate, after a line search for the step of least cost."""
         is_elliptic = self.constraints.is_elliptic
         curves = [
             contact_curve(one, residual, is_elliptic)

@@ -43,7 +43,7 @@ UNCLAMPED, EXPLICIT = (int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")) for 
 
 
 class ActuatorState(NamedTuple):
-    """Force, length and velocity of the actuators of like joints in a step."""
+    """Force, length and velocity of the actuators of corresponding joints in a step."""
 
     actuators: np.ndarray  # ids (n,)
     force: Scalar  # N or N m, of the actuator
@@ -62,7 +62,7 @@ class StepResult(NamedTuple):
 
 
 class BodyPush(NamedTuple):
-    """A force in world axes on the centre of mass of one body."""
+    """An external force in world axes at the centre of mass of one body."""
 
     stack: int
     member: int
@@ -123,7 +123,7 @@ def compute_forces(
     ctrl: Array,
     pushes: tuple[BodyPush, ...],
 ) -> tuple[Acceleration, dict[Joint, Scalar], tuple[ActuatorState, ...]]:
-    """Compute all forces of a step but those of constraints.
+    """Compute all forces of a step except constraint forces.
 
     Args:
         layout: Stacks of like bodies of the robot.
@@ -282,7 +282,7 @@ def solve_forward(
     pushes: tuple[BodyPush, ...],
     iterations: int,
 ) -> tuple[StepResult, dict[Joint, Scalar]]:
-    """Compute the accelerations of a state, see `step`, and the damping of each joint."""
+    """Compute the accelerations of a state under all forces, and the damping of each joint."""
     smooth = compute_smooth(layout, numbers, state)
     force, damping, drives_ = compute_forces(layout, numbers, state, smooth, ctrl, pushes)
     contacts = find_contacts(layout, numbers, state, smooth)

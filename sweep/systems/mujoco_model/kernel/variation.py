@@ -1,4 +1,4 @@
-"""Which numbers of a model differ between rollouts: all others are constants of the kernel.
+"""Which numbers of a model differ between rollouts; all others are compiled as constants.
 
 They are found from the names of what a study varies, not from its values, so that a row has the same bits in any batch.
 """

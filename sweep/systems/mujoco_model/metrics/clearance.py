@@ -7,7 +7,7 @@ from sweep.systems.mujoco_model.tick import ModelTick
 
 
 def least_clearance(ctx: ModelTick) -> Iterator[Array]:
-    """Least height of the base's origin above the ground straight below it (m)."""
+    """Return the least height of the base's origin above the ground straight below it (m)."""
     height = ctx.base_position[..., 2] - ctx.ground_height
     yield array_namespace(height).min(height, axis=-1)
 
