@@ -17,7 +17,7 @@ import shared
 from scipy.special import rel_entr
 from scipy.stats import binom
 
-from sweep.analysis.sequential import fixed_sample_size, log_e_value
+from sweep.analysis.sequential import log_e_value, pairs_for_fixed_sample_test
 
 Table = list[list[str]]  # columns, then rows
 
@@ -101,7 +101,9 @@ def difference_table(rng: np.random.Generator) -> Table:
         lost, gained = flips(a, b, correlation, rng)
         over = log_e_value(lost, gained) >= -np.log(ALPHA)
         pairs = np.where(over.any(axis=1), over.argmax(axis=1) + 1, MOST)
-        once = fixed_sample_size(a - (both := a * b + correlation * np.sqrt(a * (1 - a) * b * (1 - b))), b - both)
+        once = pairs_for_fixed_sample_test(
+            a - (both := a * b + correlation * np.sqrt(a * (1 - a) * b * (1 - b))), b - both
+        )
         found = (once, pairs.mean(), np.median(pairs), np.percentile(pairs, 95))
         table.append([f"{a:.2f}", f"{b:.2f}", f"{correlation:g}", *(f"{v:.0f}" for v in found)])
     return table

@@ -54,7 +54,7 @@ def test_the_size_of_a_test_looked_at_once():
     """Simulated McNemar tests of that size find the difference about nine times in ten."""
     from scipy.stats import binom
 
-    size = round(sequential.fixed_sample_size(0.12, 0.05))
+    size = round(sequential.pairs_for_fixed_sample_test(0.12, 0.05))
     kinds = np.random.default_rng(0).multinomial(size, [0.12, 0.05, 0.83], 4000)
     p = 2 * binom.cdf(kinds[:, :2].min(axis=1), kinds[:, :2].sum(axis=1), 0.5)
     assert np.mean(p <= 0.05) == pytest.approx(sequential.TEST_POWER, abs=0.04)  # the exact test is a little weaker

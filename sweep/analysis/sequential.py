@@ -28,7 +28,7 @@ def log_e_value(lost: ArrayLike, gained: ArrayLike) -> np.ndarray:
     return betaln(b + 0.5, c + 0.5) - betaln(0.5, 0.5) + (b + c) * np.log(2)
 
 
-def fixed_sample_size(lost: float, gained: float, level: float = CONFIDENCE_LEVEL) -> float:
+def pairs_for_fixed_sample_test(lost: float, gained: float, level: float = CONFIDENCE_LEVEL) -> float:
     """Estimate how many pairs McNemar's test, looked at once, needs to find a difference with a power of `TEST_POWER`.
 
     By the normal approximation (Connor 1987); infinite if the shares are equal.
@@ -83,7 +83,9 @@ class SequentialResult:
         else:
             lines.append("not decided: more draws may decide it; you may look again after each one")
         lines.append(f"succeed: {shares}; these intervals are valid at any time")
-        if np.isfinite(once := fixed_sample_size(self.lost / self.pairs, self.gained / self.pairs, self.level)):
+        if np.isfinite(
+            once := pairs_for_fixed_sample_test(self.lost / self.pairs, self.gained / self.pairs, self.level)
+        ):
             lines.append(f"if these were the true shares, a fixed-sample test would need about {once:.0f} pairs")
         return "\n".join(lines)
 

@@ -320,7 +320,7 @@ def find_contacts(
     """
     to_base, at = rotation.transpose, [feet, *free_bodies.contact_sites(case, free)]
     points = [base + rotation @ each for each in at]
-    owner, bodies = free_bodies.contact_owners(case), free_bodies.to_body_poses(free, feet.x.dtype)
+    owner, bodies = free_bodies.contact_owners(case), free_bodies.join_body_poses(free, feet.x.dtype)
     surface = case.obstacle.surface(jnp.concatenate([each.array() for each in points]), owner, bodies)
     touches = []
     for k, (held, span) in enumerate(zip(anchors, (slice(N_LEGS), slice(N_LEGS, None)), strict=False)):

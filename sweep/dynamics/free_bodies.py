@@ -99,7 +99,7 @@ def external_wrenches(case: Case, pose: Pose, motion: Motion, bodies: FreeBodies
     )
 
 
-def to_body_poses(bodies: FreeBodies, dtype: jnp.dtype) -> BodyPoses:
+def join_body_poses(bodies: FreeBodies, dtype: jnp.dtype) -> BodyPoses:
     """Convert poses of free bodies from components to arrays."""
     if not bodies.frames:
         return BodyPoses(jnp.zeros((0, 3), dtype), jnp.zeros((0, 3, 3), dtype))

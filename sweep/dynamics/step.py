@@ -261,7 +261,7 @@ def _step_start(config: _Configuration, normal: Vector, kinetic: Array) -> StepS
         kinetic + _potential_energy(config),
         centre,
         joints,
-        free_bodies.to_body_poses(config.free, normal.x.dtype),
+        free_bodies.join_body_poses(config.free, normal.x.dtype),
     )
 
 

@@ -200,8 +200,8 @@ def to_traces(
         row = {name: values[slot] for name, values in figures.items()}
         samples = round(float(row["duration_s"]) / tick) // every  # rounds off the error of summing many ticks
         kept = {name: values[:samples, place] for name, values in records.items()}
-        causes, judged = accumulator.tick_causes(world), kept.pop("judged").T
-        watched = dict(zip(accumulator.tick_metrics(world), judged, strict=True))
+        causes, judged = accumulator.causes_judged_each_tick(world), kept.pop("judged").T
+        watched = dict(zip(accumulator.metrics_computed_each_tick(world), judged, strict=True))
         margin, margin_of = outcome.least_margins(causes, watched, limits)
         time = every * tick * (1 + np.arange(len(kept["stage"])))
         try:

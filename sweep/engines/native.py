@@ -292,7 +292,7 @@ class NativeEngine(BatchEngine):
         known, plan, learned = prepare_belief(world, belief, key)
         state = start_state(world, known, plan)
         loop = init_loop(world, known, plan, state, jnp.zeros(()), key, learned, sensing)
-        nothing = jnp.zeros(len(accumulator.tick_metrics(world)), plan.duration.dtype)
+        nothing = jnp.zeros(len(accumulator.metrics_computed_each_tick(world)), plan.duration.dtype)
         between = self._run_controller(world, belief, plan, loop, self._empty_record(state), nothing, jnp.int32(0))
         return plan, (between, state)
 

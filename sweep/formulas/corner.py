@@ -31,7 +31,7 @@ class BalancedCornerForces(NamedTuple):
 
 @formula("monograph", "2.1.1-2.1.6", condition=_CONDITION)
 def corner_balanced(psi: CornerHalfAngle, eps: FootOffset, k: Friction) -> BalancedCornerForces:
-    """Forces on a corner or pole (psi = 0), balanced scheme, at friction k.
+    """Foot forces on a corner, or a pole (psi = 0), by the balanced scheme, which hold the robot at friction k.
 
     The balanced scheme where friction k is used up. Nan unless k > tan psi.
 
@@ -85,7 +85,7 @@ class EqualNormalForces(NamedTuple):
 
 @formula("monograph", "2.1", condition=_CONDITION)
 def corner_equalN(psi: CornerHalfAngle, eps: FootOffset, k: Friction) -> EqualNormalForces:
-    """Forces on a corner or pole with equal normal forces, at friction k.
+    """Foot forces on a corner or pole with equal normal forces, which hold the robot at friction k.
 
     One normal force for all feet, the upper ones at the limit of friction k: second scheme of monograph 2.1.
 

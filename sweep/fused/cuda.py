@@ -617,7 +617,7 @@ class GpuPrinter(LlvmFunctionPrinter):
         return self.emit(f"select i1 {itself}, float {x}, float {root}")
 
     def max_or_min(self, op: str, dtype: str, args: list[str]) -> str:
-        """Print a maximum or minimum of two; NaN if either is NaN.
+        """Print the LLVM code for the maximum or minimum of two numbers; NaN if either is NaN.
 
         Args:
             op: `max` or `min`.

@@ -10,7 +10,7 @@ import llvmlite.binding as llvm
 
 
 def main() -> None:
-    """Compile for any GPU from Ampere on."""
+    """Compile LLVM assembly from standard input to PTX for any NVIDIA GPU from Ampere on."""
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
     target = llvm.Target.from_triple("nvptx64-nvidia-cuda").create_target_machine("sm_80", "+ptx78", opt=3)

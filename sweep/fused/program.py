@@ -93,7 +93,7 @@ class MemoryRegion:
 
 @dataclass(eq=False)
 class Store:
-    """Store of a value to memory after the whole block is computed.
+    """A store instruction of a block: writes a value to memory after the whole block is computed.
 
     With a `row`, the address is counted from the start of that row of the region, whose rows have `stride` numbers. The
     row's number is the same for all rollouts.

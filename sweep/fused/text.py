@@ -165,7 +165,7 @@ class LlvmFunctionPrinter:
                 )
 
     def max_or_min(self, op: str, dtype: str, args: list[str]) -> str:
-        """Print a maximum or minimum of two; NaN if either is NaN.
+        """Print the LLVM code for the maximum or minimum of two numbers; NaN if either is NaN.
 
         Args:
             op: `max` or `min`.

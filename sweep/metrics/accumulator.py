@@ -29,23 +29,23 @@ class RunningMetrics(NamedTuple):
     cause_stage: Int[Array, " c"]
 
 
-def tick_causes(world: Case) -> tuple[Cause, ...]:
+def causes_judged_each_tick(world: Case) -> tuple[Cause, ...]:
     """Return the causes that can be judged in every tick, so that the time of their first occurrence is recorded."""
     return tuple(
         cause for metric in metrics.applicable_metrics(world) for cause in metric.causes if cause.known_at == "tick"
     )
 
 
-def tick_metrics(world: Case) -> tuple[str, ...]:
+def metrics_computed_each_tick(world: Case) -> tuple[str, ...]:
     """Return the names of the metrics that are computed in every tick because a cause is judged by them."""
-    causes = tick_causes(world)
+    causes = causes_judged_each_tick(world)
     there = {name for metric in metrics.applicable_metrics(world) for name in metric.columns}
     return (*(c.metric for c in causes), *(c.companion_metric for c in causes if c.companion_metric in there))
 
 
 def begin(start: RolloutStart) -> RunningMetrics:
     """Return the initial states of all metrics that apply to the world."""
-    dtype, n = start.plan.duration.dtype, len(tick_causes(start.world))
+    dtype, n = start.plan.duration.dtype, len(causes_judged_each_tick(start.world))
     return RunningMetrics(
         time=jnp.zeros((), dtype),
         time_since_plan_end=jnp.zeros((), dtype),
@@ -82,7 +82,7 @@ def update(
         number: Number of the tick, the same for all rollouts; metrics with an interval skip ticks by it.
 
     Returns:
-        The metrics after the tick, and the values (w,) of `tick_metrics`.
+        The metrics after the tick, and the values (w,) of `metrics_computed_each_tick`.
     """
     world, time = ctx.world, ctx.time
     states = tuple(
@@ -90,7 +90,7 @@ def update(
         for m, s in zip(metrics.applicable_metrics(world), running.states, strict=True)
     )
     found = _compute_metrics(RolloutEnd(world, ctx.plan, time, ctx.stage), states)
-    crossed = [c.holds(found[c.metric], threshold_value(c, limits)) for c in tick_causes(world)]
+    crossed = [c.holds(found[c.metric], threshold_value(c, limits)) for c in causes_judged_each_tick(world)]
     first = jnp.stack(crossed) & jnp.isnan(running.cause_time)
     new = RunningMetrics(
         time=time,
@@ -101,7 +101,7 @@ def update(
         cause_stage=jnp.where(first, ctx.stage, running.cause_stage),
     )
     kept = jax.tree.map(lambda old, fresh: jnp.where(running.is_over, old, fresh), running, new)
-    return kept, jnp.stack([jnp.asarray(found[name], time.dtype) for name in tick_metrics(world)])
+    return kept, jnp.stack([jnp.asarray(found[name], time.dtype) for name in metrics_computed_each_tick(world)])
 
 
 def _update_metric(metric: Metric, state: Any, ctx: MetricTick, number: Array) -> Any:
@@ -121,10 +121,10 @@ def compute(world: Case, plan: Plan, running: RunningMetrics, stage: Int[Array, 
         stage: Number of the last stage.
 
     Returns:
-        Values by column, whose name has the unit, and times and stages of `tick_causes`.
+        Values by column, whose name has the unit, and times and stages of `causes_judged_each_tick`.
     """
     out = _compute_metrics(RolloutEnd(world, plan, running.time, stage), running.states)
-    for k, cause in enumerate(tick_causes(world)):
+    for k, cause in enumerate(causes_judged_each_tick(world)):
         out[f"{cause.name}_time_s"] = running.cause_time[k]
         out[f"{cause.name}_stage"] = running.cause_stage[k]
     return out

@@ -9,7 +9,7 @@ from sweep.core.metric import Cause, make_extremes_metric
 from sweep.metrics.tick import MetricTick
 
 
-def reach_values(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
+def shortfall_and_reserve_of_reach(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
     """Return the largest shortfall of a foot target, and the least length by which a leg can still stretch or fold
     (m)."""
     robot, leg = ctx.world.robot, ctx.report.joints
@@ -20,7 +20,7 @@ def reach_values(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
 
 
 METRIC = make_extremes_metric(
-    reach_values,
+    shortfall_and_reserve_of_reach,
     {
         "reach_shortfall_max_m": "largest distance of a foot target beyond its leg's reach",
         "reach_reserve_min_m": "smallest distance of a foot target to the limits of a leg's reach, less shortfall",

@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from sweep.core.spacing import evenly_spaced_indices
-from sweep.report.labels import shorten_files
+from sweep.report.labels import shorten_file_names
 
 MAX_LABELLED_VALUES, MAX_HORIZONTAL_LABELS = (
     12,
@@ -43,7 +43,7 @@ def lay_out_cells(rows: pd.DataFrame, x: str, y: str) -> tuple[pd.DataFrame, Map
             continue
         codes, names = pd.factorize(values)
         placed[axis], cells[axis] = codes + 1.0, np.arange(1.0, len(names) + 1)
-        cells[f"{axis}_names"] = tuple(shorten_files([*map(str, names)]))
+        cells[f"{axis}_names"] = tuple(shorten_file_names([*map(str, names)]))
     return rows.assign(**placed), MapCells(**cells)
 
 

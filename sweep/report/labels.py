@@ -117,12 +117,12 @@ def hover_text(column: str, exp: Experiment) -> str:
 
 def label_with_value(column: str, value: object, exp: Experiment | None = None) -> str:
     """Format a parameter with a value: `obstacle.mass` at 50.0 -> `mass 50 kg`."""
-    shown = f"{value:.4g}" if isinstance(value, float) else shorten_files([str(value)])[0]
+    shown = f"{value:.4g}" if isinstance(value, float) else shorten_file_names([str(value)])[0]
     unit_there = column_unit(column, exp) if exp else ""
     return " ".join(part for part in (axis_words(column, exp), shown, unit_there) if part)
 
 
-def shorten_files(names: Sequence[str]) -> list[str]:
+def shorten_file_names(names: Sequence[str]) -> list[str]:
     """Shorten names of files to their stems, `worlds/hills.xml` to `hills`, where these stay distinct."""
     paths = [PurePosixPath(name) for name in names]
     stems = [path.stem if path.suffix in FILES else name for path, name in zip(paths, names, strict=True)]

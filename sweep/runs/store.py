@@ -316,7 +316,7 @@ def count_rollouts(folder: Path) -> tuple[int, int]:
 
 
 def read_part(folder: Path, entry: ManifestEntry, planned: int | None = None) -> pd.DataFrame:
-    """Return the rows in one file.
+    """Return the finished rows in one file of a study's folder.
 
     Args:
         folder: Folder of the study.

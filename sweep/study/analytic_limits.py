@@ -30,7 +30,7 @@ class AnalyticLimit:
     measured: str  # figure to show beside; empty for none
 
     def compute(self, value_of: Callable[[str], Any]) -> float:
-        """Compute the limit at given parameter values.
+        """Compute the parameter's limit from the formula at given parameter values.
 
         Args:
             value_of: Returns the value of a parameter path.

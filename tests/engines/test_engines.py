@@ -222,7 +222,7 @@ def test_all_rollouts_of_a_batch_are_recorded_as_one_is(name, mjx, world, nomina
     assert again.time == pytest.approx(one.time[24::25])
     assert one.margin[-1] == pytest.approx(_watched(engine.limits, nominal, one), abs=1e-6)
     assert one.margin[0] > 0.5
-    assert one.margin_of[-1] in {c.threshold for c in accumulator.tick_causes(nominal)}
+    assert one.margin_of[-1] in {c.threshold for c in accumulator.causes_judged_each_tick(nominal)}
     for field in ("qpos", "foot_force", "joint_torque", "stage", "margin"):
         assert np.array_equal(getattr(again, field), getattr(one, field)[24::25]), field
     assert all(np.array_equal(again.metrics[k], one.metrics[k], equal_nan=True) for k in one.metrics)
@@ -232,4 +232,4 @@ def test_all_rollouts_of_a_batch_are_recorded_as_one_is(name, mjx, world, nomina
 def _watched(limits, case, trace):
     """Least margin of a rollout's figures to the limits that are watched in every tick."""
     figures = {name: np.asarray(value) for name, value in trace.metrics.items()}
-    return least_margins(accumulator.tick_causes(case), figures, limits)[0]
+    return least_margins(accumulator.causes_judged_each_tick(case), figures, limits)[0]

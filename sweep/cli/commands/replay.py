@@ -82,7 +82,7 @@ def check_options(args: argparse.Namespace) -> None:
     """Refuse options that would fail after the simulation."""
     if bool(args.plot) != (args.output is not None):
         raise InputError("--plot NAME ... and -o FILE go together")
-    if args.output and args.output.suffix[1:] not in (kinds := picture_kinds()):
+    if args.output and args.output.suffix[1:] not in (kinds := picture_formats()):
         raise InputError(f"-o {args.output} is not allowed: a file that ends in {', '.join(sorted(kinds))}")
     for option, ending in (("states", ".parquet"), ("model", ".xml")):
         path = getattr(args, option)
@@ -98,7 +98,7 @@ def check_options(args: argparse.Namespace) -> None:
         require_ffmpeg()
 
 
-def picture_kinds() -> dict[str, str]:
+def picture_formats() -> dict[str, str]:
     """Endings of picture files that Matplotlib writes, with their meanings."""
     from matplotlib.backend_bases import FigureCanvasBase
 

@@ -24,7 +24,7 @@ from sweep.report.labels import (
     kind_meaning,
     label_and_unit,
     outcome_kind,
-    shorten_files,
+    shorten_file_names,
     unique_labels,
 )
 from sweep.report.outcome_style import FAILURE_COLOUR, SUCCESS_COLOUR, find_style
@@ -147,7 +147,7 @@ def encode_column(values: pd.Series, bits: int) -> tuple[dict[str, Any], bytes]:
     """
     if values.dtype.kind not in "fiub":
         codes, levels = pd.factorize(values.astype(str), sort=True)
-        return {"names": shorten_files([str(one) for one in levels])}, split_bytes(np.asarray(codes))
+        return {"names": shorten_file_names([str(one) for one in levels])}, split_bytes(np.asarray(codes))
     numbers = values.to_numpy(dtype=float)
     finite = np.isfinite(numbers)
     levels, codes = np.unique(numbers[finite], return_inverse=True)

@@ -327,7 +327,7 @@ class MujocoModel(ModelSpec):
         return np.ones(len(rows), dtype=bool)
 
     def make_world_and_belief(self, values: ColumnValues) -> tuple[SideValues, SideValues]:
-        """Make the values of world and belief, by path."""
+        """Make world and belief, each as values by parameter path, from values by column."""
         world, belief = (SideValues(tuple(chosen.items())) for chosen in split_world_and_belief(values).values())
         return world, belief
 

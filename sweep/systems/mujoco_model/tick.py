@@ -199,8 +199,7 @@ class ModelTick:
         return self.steps["sensordata"][..., self.parts.foot_sensors]
 
     def motion_along_command(self, before: Array) -> tuple[None, int]:
-        """Return zero displacement (it follows from the end position, as the direction is constant) and the number of
-        steps."""
+        """Return None and the number of steps: with a constant direction, the end position gives the displacement."""
         return None, self.number
 
 

@@ -92,7 +92,7 @@ class StackTotal:
 
     @property
     def value(self) -> Scalar:
-        """The sum over all terms."""
+        """The sum over all terms that were added."""
         return self._single if self._stack.is_exactly(0) else self._single + self._stack.total(1)
 
 
