@@ -192,7 +192,7 @@ def causes_page() -> str:
 def cli_page() -> str:
     """Every subcommand with its arguments."""
     parts = []
-    for name in commands.shipped_names():
+    for name in commands.shipped_command_names():
         parser, text = commands.make_parser(name), commands.load_command(name).COMMAND.help
         parts += [
             f"## sweep {name}",

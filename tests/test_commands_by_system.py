@@ -117,4 +117,4 @@ def test_commands_that_take_long_work_where_the_page_says(system, capsys):
 
 
 def test_every_command_is_tried():
-    assert {*commands.shipped_names()} - ALONE == {command.partition(" ")[0] for command in lines("robot")}
+    assert {*commands.shipped_command_names()} - ALONE == {command.partition(" ")[0] for command in lines("robot")}

@@ -268,11 +268,11 @@ def translate_group_file(group: str, file: Any, content: Mapping[str, Any]) -> d
 
 def defaults_of_extended_files(group: str, file: Any, content: Mapping[str, Any]) -> list[Any]:
     """Return the files that a configuration file extends, as entries of Hydra's defaults list. Raises `InputError`."""
-    names = [require_choice_of_group(file, group, name) for name in extended_names(group, content)]
+    names = [require_choice_of_group(file, group, name) for name in names_of_extended_files(group, content)]
     return [f"/{group}/{name}@{'_global_' if GROUPS[group].is_global else '_here_'}" for name in names]
 
 
-def extended_names(group: str, content: Mapping[str, Any]) -> list[Any]:
+def names_of_extended_files(group: str, content: Mapping[str, Any]) -> list[Any]:
     """Return the names of the files that a file extends; several are allowed for plans only."""
     if "extends" not in content:
         return []
@@ -282,7 +282,7 @@ def extended_names(group: str, content: Mapping[str, Any]) -> list[Any]:
 
 def referenced_files(group: str, content: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """Yield group and name of each file that a file starts from, by `extends` or by Hydra's list of `defaults`."""
-    yield from ((group, name) for name in extended_names(group, content))
+    yield from ((group, name) for name in names_of_extended_files(group, content))
     defaults = content.get("defaults")
     for entry in defaults if isinstance(defaults, list) else ():
         pairs = entry.items() if isinstance(entry, Mapping) else [str(entry).rpartition("/")[::2]]

@@ -69,7 +69,7 @@ class CommonStart(Protocol):
 
 
 class CommonTick(Protocol):
-    """Report of every system to `Metric.update`: the s samples since the previous report.
+    """The s samples since the previous report, as every system reports them to `Metric.update`.
 
     The hexapod reports one sample at the end of each control tick. MuJoCo models report every physics step: `native`
     all those of a tick at once, `mjx` one at a time. A metric must not depend on how samples are grouped.
@@ -291,7 +291,7 @@ def merge_columns(metrics: Iterable[Metric[Any]]) -> dict[str, str]:
     return {name: meaning for metric in metrics for name, meaning in metric.columns.items()}
 
 
-def make_constant_begin[S](kind: Callable[..., S], *values: Any) -> Callable[[CommonStart], S]:
+def make_begin_with_constants[S](kind: Callable[..., S], *values: Any) -> Callable[[CommonStart], S]:
     """Make a metric's `begin` that returns constant values in the rollout's precision.
 
     Args:
@@ -315,7 +315,7 @@ def make_end_metric(
         columns: Meanings by column.
         options: Further fields of `Metric`.
     """
-    return Metric(make_constant_begin(tuple), lambda state, ctx: state, compute, columns, **options)
+    return Metric(make_begin_with_constants(tuple), lambda state, ctx: state, compute, columns, **options)
 
 
 def make_extremes_metric(
@@ -343,7 +343,7 @@ def make_extremes_metric(
     def compute(state: tuple[Array, ...], rollout: Any) -> dict[str, Array]:
         return dict(zip(columns, state, strict=True))
 
-    begin = make_constant_begin(lambda *found: found, *(start for _, start in kinds))
+    begin = make_begin_with_constants(lambda *found: found, *(start for _, start in kinds))
     return Metric(begin, update, compute, columns, causes, **options)
 
 

@@ -21,7 +21,7 @@ from sweep.fused.program import (
     Store,
     constant_value,
 )
-from sweep.fused.schedule import BlockSchedule, OperationGroup, ScratchSlots, used_regions
+from sweep.fused.schedule import BlockSchedule, OperationGroup, ScratchSlots, used_memory_regions
 from sweep.fused.text import LLVM_TYPES, LlvmFunctionPrinter
 
 TILE_LANES, NARROW_TILE_LANES = 16, 4  # rollouts of a tile; a narrow tile takes half as long
@@ -61,7 +61,7 @@ class CpuPrinter(LlvmFunctionPrinter):
         self.row = lanes * slots.size
         self.scratch = round_to_alignment(slots.count * self.group * self.row)
         self.places: dict[MemoryRegion, int] = {}
-        for region in sorted((r for r in used_regions(top) if r.byte_offset < 0), key=id):
+        for region in sorted((r for r in used_memory_regions(top) if r.byte_offset < 0), key=id):
             self.places[region] = self.scratch
             self.scratch += round_to_alignment(region.size * self.number_bytes(region.dtype))
         self._order(top)

@@ -162,7 +162,7 @@ def _reads_from_memory(step: Any, inner: list[BlockSchedule]) -> Iterator[int]:
             yield from _reads_from_memory(each, one.inner_schedules.get(at, []))
 
 
-def used_regions(order: BlockSchedule) -> set[MemoryRegion]:
+def used_memory_regions(order: BlockSchedule) -> set[MemoryRegion]:
     """Return all memory regions that a schedule loads from or stores to."""
     found: set[MemoryRegion] = set()
     for at, step in enumerate(order.steps):
@@ -174,5 +174,5 @@ def used_regions(order: BlockSchedule) -> set[MemoryRegion]:
             found.add(step.region)
             found |= {step.value.extra.region} if isinstance(step.value.extra, Address) else set()
         for inner in order.inner_schedules.get(at, []):
-            found |= used_regions(inner)
+            found |= used_memory_regions(inner)
     return found

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from sweep.core.metric import Metric, make_constant_begin
+from sweep.core.metric import Metric, make_begin_with_constants
 from sweep.metrics.footholds import FACE_TOLERANCE_M
 from sweep.metrics.tick import MetricTick
 from sweep.models.obstacles.surface import surface_at
@@ -45,7 +45,7 @@ def update(state: LandingPatience, ctx: MetricTick) -> LandingPatience:
 
 
 METRIC = Metric(
-    make_constant_begin(LandingPatience, np.int32(0), 0.0, 1.0, 1.0),
+    make_begin_with_constants(LandingPatience, np.int32(0), 0.0, 1.0, 1.0),
     update,
     lambda state, rollout: {"landing_reserve_min": state.least_patience},
     {

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.controllers.plan import is_guided_by_law
-from sweep.core.metric import Cause, Metric, make_constant_begin
+from sweep.core.metric import Cause, Metric, make_begin_with_constants
 from sweep.manoeuvres.balancing.ball_ledges import OFF, ON
 from sweep.metrics.tick import MetricTick, RolloutEnd, goal_cause
 from sweep.models.obstacles.ledges import Ledges
@@ -50,7 +50,7 @@ def compute(state: LedgeCrossing, rollout: RolloutEnd) -> dict[str, Array]:
 
 
 METRIC = Metric(
-    make_constant_begin(LedgeCrossing, -math.inf, math.inf, 0.0),
+    make_begin_with_constants(LedgeCrossing, -math.inf, math.inf, 0.0),
     update,
     compute,
     {

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.constants import FOOT_LOAD_THRESHOLD_N, GRAVITY
-from sweep.core.metric import Metric, make_constant_begin
+from sweep.core.metric import Metric, make_begin_with_constants
 from sweep.metrics.tick import FORCE_FILTER_TIME_S, MetricTick, RolloutEnd
 from sweep.models.obstacles.surface import surface_at
 from sweep.models.robot import total_mass
@@ -59,7 +59,7 @@ def compute(state: FootLoads, rollout: RolloutEnd) -> dict[str, Array]:
 
 
 METRIC = Metric(
-    make_constant_begin(FootLoads, 0.0, 0.0, 0.0, 0.0, FOOT_LOAD_THRESHOLD_N, 1.0),
+    make_begin_with_constants(FootLoads, 0.0, 0.0, 0.0, 0.0, FOOT_LOAD_THRESHOLD_N, 1.0),
     update,
     compute,
     {

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.core.metric import Cause, Metric, make_constant_begin
+from sweep.core.metric import Cause, Metric, make_begin_with_constants
 from sweep.metrics.tick import MetricTick
 from sweep.models.geometry import shin_slope_sines
 from sweep.models.obstacles.surface import surface_at
@@ -21,7 +21,7 @@ def update(state: Float[Array, ""], ctx: MetricTick) -> Float[Array, ""]:
 
 
 METRIC = Metric(
-    make_constant_begin(jnp.asarray, 1.0),  # upright
+    make_begin_with_constants(jnp.asarray, 1.0),  # upright
     update,
     lambda sine, rollout: {"shin_angle_min_rad": jnp.arcsin(sine)},
     {"shin_angle_min_rad": "smallest angle of a standing leg's shin above the face it stands on, negative below it"},

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.constants import FOOT_LOAD_THRESHOLD_N
-from sweep.core.metric import Metric, make_constant_begin
+from sweep.core.metric import Metric, make_begin_with_constants
 from sweep.metrics.tick import FORCE_FILTER_TIME_S, MetricTick
 from sweep.models.geometry import support_margin
 
@@ -29,7 +29,7 @@ def update(state: StabilityMargin, ctx: MetricTick) -> StabilityMargin:
 
 
 METRIC = Metric(
-    make_constant_begin(StabilityMargin, np.full(6, 2 * FOOT_LOAD_THRESHOLD_N), math.inf),  # all feet carry
+    make_begin_with_constants(StabilityMargin, np.full(6, 2 * FOOT_LOAD_THRESHOLD_N), math.inf),  # all feet carry
     update,
     lambda state, rollout: {"stability_margin_min_m": state.least_margin},
     {

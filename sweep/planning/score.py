@@ -182,7 +182,7 @@ class PlanScore:
         self._caps = {key: value[0] - CAP_TOLERANCE * SCALES.get(key, DEFAULT_SCALE) for key, value in reached.items()}
 
     def deficit_gradients(self, numbers: np.ndarray, draws: Case) -> tuple[np.ndarray, np.ndarray]:
-        """Return the summed squared deficits of each draw and their gradients.
+        """Return for each draw the sum of the squared deficits of all margins, and its gradient by the plan's numbers.
 
         Args:
             numbers: Free numbers (free,).

@@ -198,7 +198,7 @@ def cell_rates(results: Results, rows: pd.DataFrame, by: list[str], axes: list[s
 
 
 def section_data(results: Results, chosen: MapSection) -> pd.DataFrame:
-    """Return the numbers behind a map, a row for each cell."""
+    """Return the numbers that a map shows, a row for each cell."""
     rows = chosen.rows
     named = [c for c in rows if "." in str(c) and rows[c].dtype.kind not in "fi" and has_several_values(rows[c])]
     named = [c for c in named if c not in (chosen.x, chosen.y)]

@@ -138,7 +138,7 @@ def iterate_matching_rows(
 
 
 def read_results(folder: Path, where: str | None = None, with_bookkeeping: bool = True) -> Results:
-    """Read the finished rows of a study's folder.
+    """Read the finished rows of a study's folder, with its experiment.
 
     Rollouts without noise that repeat others are left out.
 

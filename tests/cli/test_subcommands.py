@@ -105,7 +105,7 @@ def test_files_of_a_folder_are_no_subcommands(folder, tmp_path):
 
 
 def test_every_subcommand_has_a_section_and_a_line():
-    for name in commands.shipped_names():
+    for name in commands.shipped_command_names():
         about = commands.load_command(name).COMMAND
         assert about.section in Section
         assert about.help
@@ -119,7 +119,7 @@ from sweep.cli import commands
 from sweep.cli.main import main
 with contextlib.suppress(SystemExit):
     main(["--help"])
-for name in commands.shipped_names():
+for name in commands.shipped_command_names():
     commands.make_parser(name).format_help()
     if name != "run":  # whose flags Hydra knows
         main([name, "--no-such-flag"])

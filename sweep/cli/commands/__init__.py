@@ -34,7 +34,7 @@ def execute_command(argv: list[str]) -> int:
     """Run the subcommand at the start of `argv` and return its exit code. Raises `InputError`."""
     if strange := [word for word in argv if word.encode(errors="ignore").decode() != word]:
         raise InputError(f"{printable_name(strange[0])} is not allowed: letters in UTF-8")
-    if argv and (argv[0] in shipped_names() or argv[0] in installed_commands()):
+    if argv and (argv[0] in shipped_command_names() or argv[0] in installed_commands()):
         name, words = argv[0], argv[1:]
     else:
         chosen = make_overview_parser().parse_args(argv)
@@ -45,7 +45,7 @@ def execute_command(argv: list[str]) -> int:
 
 
 @cache
-def shipped_names() -> tuple[str, ...]:
+def shipped_command_names() -> tuple[str, ...]:
     """Names of the subcommands of this package, in alphabetical order."""
     return tuple(sorted(module.name.replace("_", "-") for module in iter_modules(__path__)))
 
@@ -54,17 +54,17 @@ def shipped_names() -> tuple[str, ...]:
 def installed_commands() -> dict[str, metadata.EntryPoint]:
     """Entry points of subcommands of other installed packages, by name; a name of this package is left out."""
     found = metadata.entry_points(group=ENTRY_POINTS)
-    return {one.name: one for one in sorted(found, key=lambda one: one.name) if one.name not in shipped_names()}
+    return {one.name: one for one in sorted(found, key=lambda one: one.name) if one.name not in shipped_command_names()}
 
 
 def command_names() -> list[str]:
     """Names of all subcommands: those of this package, then those of other installed packages."""
-    return [*shipped_names(), *installed_commands()]
+    return [*shipped_command_names(), *installed_commands()]
 
 
 def load_command(name: str) -> CommandModule:
     """Import the module of a subcommand. Raises `InputError` where another package's module is not one."""
-    if name in shipped_names():
+    if name in shipped_command_names():
         return cast(CommandModule, import_module(f"{__name__}.{name.replace('-', '_')}"))
     point = installed_commands()[name]
     try:
@@ -122,7 +122,7 @@ class OverviewParser(Arguments):
 
 def list_commands(width: int) -> str:
     """List all subcommands by section, with a line for each, wrapped to `width` characters."""
-    abouts = {name: load_command(name).COMMAND for name in shipped_names()}
+    abouts = {name: load_command(name).COMMAND for name in shipped_command_names()}
     lines = []
     for section in Section:
         lines += [

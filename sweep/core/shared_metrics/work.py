@@ -1,6 +1,6 @@
 """Work of the drives."""
 
-from sweep.core.metric import Array, CommonRollout, CommonTick, Metric, make_constant_begin
+from sweep.core.metric import Array, CommonRollout, CommonTick, Metric, make_begin_with_constants
 
 
 def update(state: Array, ctx: CommonTick) -> Array:
@@ -14,5 +14,5 @@ def compute(state: Array, rollout: CommonRollout) -> dict[str, Array]:
 
 
 METRIC = Metric(
-    make_constant_begin(lambda work: work, 0.0), update, compute, {"energy_j": "positive work of the drives"}
+    make_begin_with_constants(lambda work: work, 0.0), update, compute, {"energy_j": "positive work of the drives"}
 )

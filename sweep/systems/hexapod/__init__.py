@@ -373,7 +373,7 @@ def plan_numbers(file: str, read: Callable[[str], str]) -> dict[str, float | str
         Numbers, and formulas as text, by path.
     """
     places = {key: chart for cls in OBSTACLES.values() for key, chart in cls.charts.items()}
-    plan, _ = plan_table.split_searched(plan_table.merge_extended(file, read))
+    plan, _ = plan_table.split_searched(plan_table.merge_extended_plans(file, read))
     return plan_table.numbers_by_path(plan, places)
 
 

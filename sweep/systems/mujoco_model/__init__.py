@@ -161,7 +161,7 @@ class MujocoModel(ModelSpec):
     def settings_summary(self, settings: EngineSettings) -> dict[str, str]:
         """Summarize files, engine and time step for readers."""
         listed = {path: ", ".join(names) for path, names in self.listed}
-        model, controller = (listed.get(path, self.file_value(path)) for path in FILE_PATHS[:2])
+        model, controller = (listed.get(path, self.nominal_file_of_path(path)) for path in FILE_PATHS[:2])
         about = {"model": model, "controller": controller, "engine": settings.name}
         return {**about, "step": f"{1000 * self.model.opt.timestep:g} ms"}
 
@@ -174,7 +174,7 @@ class MujocoModel(ModelSpec):
         if path in FILE_PATHS:
             if column != path:
                 raise InputError(f"axis {column} is not allowed: a file belongs to both sides, leave out side")
-            return file_name(self.file_value(path))
+            return file_name(self.nominal_file_of_path(path))
         if terrain.is_terrain_path(path):
             return self._terrain_parameter(path)
         if root == "model":
@@ -245,7 +245,7 @@ class MujocoModel(ModelSpec):
             if column.startswith(("world.controller.", "world.schedule.")):
                 raise InputError(f"axis {column} varies nothing: the controller's parameters belong to the belief")
         for path in (path for path in FILE_PATHS if path in columns):
-            known = {self.file_value(path), *dict(self.listed).get(path, ())}
+            known = {self.nominal_file_of_path(path), *dict(self.listed).get(path, ())}
             for name in set(table[path]) - known:
                 raise InputError(f"{path} = {name} is not allowed: an axis of the study lists the files in its values")
         shaping = [c for c in columns if self.parameter(c, settings).metadata["role"] != "quantity"]
@@ -267,7 +267,7 @@ class MujocoModel(ModelSpec):
             made = self.make_engine(replace(settings, **ways), *self.make_world_and_belief(values), limits=None)
             for line in made.check_varied([*fields.select_quantities(system.model, dict.fromkeys(varied)), *grounds]):
                 print_note(line)
-            new = {(path, system.file_value(path)) for path in FILE_PATHS[:2]} - started
+            new = {(path, system.nominal_file_of_path(path)) for path in FILE_PATHS[:2]} - started
             if new and system is not self:
                 made.check_start()
             started |= new
@@ -294,7 +294,7 @@ class MujocoModel(ModelSpec):
             values: ColumnValues by path; those of `FILE_PATHS` count.
         """
         chosen = {path: str(values[path]) for path in FILE_PATHS if path in values}
-        if all(name == self.file_value(path) for path, name in chosen.items()):
+        if all(name == self.nominal_file_of_path(path) for path, name in chosen.items()):
             return self
         made = _build_variant(self.values, tuple(chosen.items()), self.config.content)
         room = max(made.delay_buffer, self.delay_buffer), max(made.action_buffer, self.action_buffer)
@@ -521,7 +521,7 @@ def _listed_files(path: str, name: str) -> list[Path]:
 def _list_source_files(system: MujocoModel) -> list[Path]:
     """List all files that define a system, those of axes included."""
     found = [*files.list_files(system.config.mjcf), *system.controller.files]
-    if image := system.file_value("model.terrain.file"):
+    if image := system.nominal_file_of_path("model.terrain.file"):
         found += _listed_files("model.terrain.file", image)
     for one in system.actuator_networks:
         found += files.controller_files(one.file)

@@ -90,7 +90,7 @@ def start_batch(
     """Make the rollouts of a batch from world and belief. Raises `InputError` where MuJoCo cannot batch the model."""
     n, number = len(streams), np.dtype(settings.precision).type
     ground = spec.make_terrain(world, n)
-    model = ground.with_heights(spec.compile_with_fields(len(ground.heights))) if ground else spec.model
+    model = ground.with_heights(spec.compile_with_height_fields(len(ground.heights))) if ground else spec.model
     try:
         batch = Batch(model, n, devices.count_cores())
     except ValueError as error:  # as of bodies that sleep

@@ -98,9 +98,9 @@ class ModelSpec:
     @cached_property
     def model(self) -> mujoco.MjModel:
         """The compiled model with its payloads and the options of the configuration."""
-        return self.compile_with_fields(1)
+        return self.compile_with_height_fields(1)
 
-    def compile_with_fields(self, count: int) -> mujoco.MjModel:
+    def compile_with_height_fields(self, count: int) -> mujoco.MjModel:
         """Compile the model with a number of level height fields as its terrain, where it has one."""
         compiled = files.load_model(self.config.mjcf, self.config.terrain, count)
         if self.payloads:
@@ -240,7 +240,7 @@ class ModelSpec:
         paths = {**self.controller.belief_paths, **{name: f"controller.{name}" for name in self.controller.parameters}}
         return {name: values[path] if path in values else self.nominal_value(path) for name, path in paths.items()}
 
-    def file_value(self, path: str) -> str:
+    def nominal_file_of_path(self, path: str) -> str:
         """Return the nominal file or module of one of `FILE_PATHS`."""
         owner = self.config.terrain if terrain.is_terrain_path(path) else self.config
         return getattr(owner, path.rpartition(".")[2], "")
@@ -248,7 +248,7 @@ class ModelSpec:
     def nominal_value(self, path: str) -> Any:
         """Return the nominal value of a parameter path. Raises `InputError` where there is none."""
         if path in FILE_PATHS:
-            return self.file_value(path)
+            return self.nominal_file_of_path(path)
         numbers = dict(self.controller_values)
         return numbers[path] if path in numbers else fields.parameter_field(self.model, path).default
 

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from sweep.core.constants import FOOT_LOAD_THRESHOLD_N, GRAVITY
-from sweep.core.metric import Array, Metric, array_namespace, make_constant_begin
+from sweep.core.metric import Array, Metric, array_namespace, make_begin_with_constants
 from sweep.systems.mujoco_model.model_spec import ModelSpec, arccos_deg, cosine_of_tilt
 
 STEP_FIELDS = (
@@ -299,7 +299,7 @@ def make_step_share_metric(
         needs: See `Metric.needs`.
     """
     return Metric(
-        make_constant_begin(lambda total: total, 0.0),
+        make_begin_with_constants(lambda total: total, 0.0),
         lambda total, ctx: total + count(ctx),
         lambda total, rollout: {column: rollout.share(total)},
         {column: meaning},

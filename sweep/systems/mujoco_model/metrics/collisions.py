@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from sweep.core.metric import Metric, make_constant_begin
+from sweep.core.metric import Metric, make_begin_with_constants
 from sweep.systems.mujoco_model.tick import Array, ModelRollout, ModelTick
 
 
@@ -28,7 +28,7 @@ def compute(state: CollisionTotals, rollout: ModelRollout) -> dict[str, Array]:
 
 
 METRIC = Metric(
-    make_constant_begin(CollisionTotals, 0.0, 0.0),
+    make_begin_with_constants(CollisionTotals, 0.0, 0.0),
     update,
     compute,
     {

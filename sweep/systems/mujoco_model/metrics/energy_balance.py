@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from sweep.core.metric import Metric, make_constant_begin
+from sweep.core.metric import Metric, make_begin_with_constants
 from sweep.systems.mujoco_model.tick import Array, ModelRollout, ModelTick
 
 
@@ -26,7 +26,7 @@ def compute(state: AppliedWork, rollout: ModelRollout) -> dict[str, Array]:
 
 
 METRIC = Metric(
-    make_constant_begin(AppliedWork, 0.0, 0.0),
+    make_begin_with_constants(AppliedWork, 0.0, 0.0),
     update,
     compute,
     {"energy_gained_j": "growth of mechanical energy beyond the work of actuators and pushes"},

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sweep.core.metric import EVERY_COLUMN, Cause, Metric, array_namespace, make_constant_begin
+from sweep.core.metric import EVERY_COLUMN, Cause, Metric, array_namespace, make_begin_with_constants
 from sweep.systems.mujoco_model.tick import Array, ModelRollout, ModelTick
 
 
@@ -23,7 +23,7 @@ def _invalid(name: str, sentence: str) -> Cause:
 
 
 METRIC = Metric(
-    make_constant_begin(lambda finite: finite, True),
+    make_begin_with_constants(lambda finite: finite, True),
     update,
     compute,
     {
