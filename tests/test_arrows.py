@@ -187,6 +187,12 @@ def test_only_engines_and_what_is_below_know_jax():
     assert {n for n in MODULES if "jax" in roots[n] and room(n) in above("engines")} == JAX_ABOVE_ENGINES
 
 
+def test_one_module_knows_what_is_private_to_hydra():
+    """So that a version of Hydra that moves it needs one change."""
+    private = {name for name in MODULES if any(other.startswith("hydra._internal") for other in ARROWS[name])}
+    assert private == {"sweep.config.hydra_sources"}
+
+
 def test_only_runs_and_what_is_above_know_files():
     files = {"pathlib", "tempfile", "shutil"}
     assert {n for n in MODULES if files & ARROWS[n] and room(n) in BELOW_RUNS} == FILES_BELOW_RUNS

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import NoReturn
 
 import hydra
-from hydra._internal.utils import get_args_parser
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
@@ -15,6 +14,7 @@ from omegaconf.errors import OmegaConfBaseException
 from sweep.cli.exits import BAD_INPUT, DONE, FAULT
 from sweep.config import experiment
 from sweep.config.experiment import Experiment
+from sweep.config.hydra_sources import make_hydra_parser
 from sweep.core.arguments import list_flags, make_usage_error
 from sweep.core.errors import Fault, InputError
 
@@ -66,7 +66,7 @@ def launch_hydra(overrides: list[str], work: Callable[[Experiment], int], run_fl
 
 def check_flags(overrides: list[str], run_flags: list[str]) -> None:
     """Raise `InputError` for arguments of `sweep run` for which Hydra would print its usage."""
-    parser = get_args_parser()
+    parser = make_hydra_parser()
 
     def error(message: str) -> NoReturn:
         raise make_usage_error(message, "sweep run", [*list_flags(parser), *run_flags])

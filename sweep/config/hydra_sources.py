@@ -6,6 +6,7 @@ or both (`robot: {extends: prototype, thigh: 0.3}`). A file of another group hol
 too. A file with a list of `defaults` is in Hydra's own syntax and stays as it is.
 """
 
+import argparse
 import io
 import os
 import re
@@ -15,6 +16,7 @@ from typing import Any
 import yaml
 from hydra._internal.core_plugins.file_config_source import FileConfigSource
 from hydra._internal.sources_registry import SourcesRegistry
+from hydra._internal.utils import get_args_parser
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.object_type import ObjectType
 from hydra.core.plugins import Plugins
@@ -155,6 +157,11 @@ def register_hydra_sources() -> None:
     for plugin in (GroupFileSource, GroupSearchPathPlugin):
         Plugins.instance().register(plugin)  # this replaces our source of files by Hydra's
     SourcesRegistry.instance().types[UserFileSource.scheme()] = UserFileSource
+
+
+def make_hydra_parser() -> argparse.ArgumentParser:
+    """Make the parser with which a Hydra application reads its command line."""
+    return get_args_parser()
 
 
 def read_config_file(file: Any, quotes_words: bool = False) -> dict[str, Any]:

@@ -185,7 +185,7 @@ def test_what_is_wrong_is_told_before_what_is_slow_is_imported(argument, unneede
         ),
         (["run", "--cfg", "jb"], "--cfg/-c = jb is unknown: did you mean job? (allowed: all, hydra, job)"),
         (["run", "--resolve"], "--resolve is for --cfg"),
-        (["run", "--shell-completion"], "--shell-completion wants install=, uninstall=, query= and a shell"),
+        (["run", "--shell-completion"], "--shell-completion needs install=, uninstall=, query= and a shell"),
         (["run", "--experimental-rerun", "none"], "--experimental-rerun = none is not a file"),
         (["run", "--multirun", "--cfg", "job"], "--multirun and --cfg are not allowed together"),
         (["tune", "--populaton", "3"], "--populaton is unknown: did you mean --population?"),
