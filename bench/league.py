@@ -60,7 +60,7 @@ def fixed_rollouts(correlation: float) -> int:
     """
     sizes = []
     for a, b in pairwise(RATES):
-        both = multivariate_normal.cdf([ndtri(a), ndtri(b)], cov=[[1, correlation], [correlation, 1]])
+        both = multivariate_normal.cdf([ndtri(a), ndtri(b)], cov=[[1, correlation], [correlation, 1]])  # pyright: ignore[reportArgumentType]
         lost, gained = a - both, b - both
         level = 1 - 0.05 / (len(RATES) - 1)
         sizes.append(find_smallest_size(lambda n, p=(lost, gained), v=level: mcnemar_power(n, *p, v) >= 0.9, checked=0))

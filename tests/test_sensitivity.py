@@ -231,7 +231,7 @@ def test_indices_need_draws_and_not_rows(study, draws, offered):
     exp, rows = study({"f": friction, "shin": SHIN}, lambda t: t["robot.shin"] > 0.35, design={"num": draws})
     assert len(rows) == 5 * draws
     titles = [title for title, _ in statistics_sections(rows, exp)]
-    assert ("PAWN indices" in titles) == offered
+    assert ("Sensitivity indices of the draws" in titles) == offered
 
 
 def test_a_number_is_printed_once_and_an_index_with_its_error(study):
