@@ -45,7 +45,7 @@ def test_flips_tell_how_far_the_boundary_moves(fake_engine, tmp_path, capsys):
     assert 0 < (rows.loc[near, "outcome"] == "success").mean() < 1
     assert 30 < near.sum() < 60
     assert main(["audit", str(tmp_path), "--points", "1000"]) == 0
-    every = audit.flip_table(results.read_results(tmp_path))
+    every = audit.outcome_flip_table(results.read_results(tmp_path))
     assert (every["rollouts"] == every["of"]).all()
     friction, needed = rows["world.contact.friction"], 5 * rows["manoeuvre.half_step_ratio"]
     wins = (rows["outcome"] == "success") & ~near
@@ -113,7 +113,7 @@ def test_the_boundary_of_a_walk_is_the_robots(tmp_path):
     axes = ["study.axes.friction.num=3", "study.axes.step.from=0.16", "study.axes.step.num=5", "study.expect=[]"]
     assert main(["run", "study=walk_map", *axes, f"out={tmp_path}"]) == 0
     assert main(["audit", str(tmp_path), "--points", "6"]) == 0
-    table = audit.flip_table(results.read_results(tmp_path))
+    table = audit.outcome_flip_table(results.read_results(tmp_path))
     assert len(table) == 10
     assert (table["invalid"] == 0).all()
     assert (table["flips"] <= 1).all()

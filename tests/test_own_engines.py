@@ -183,7 +183,7 @@ def test_a_number_that_others_are_made_from_is_no_parameter(here):
 def test_an_audit_tells_robot_from_simulator(here, capsys):
     assert main(["run", "study=study.yaml", "out=whole", "study.axes.rub.values=[0.1]"]) == 0
     assert main(["audit", "whole", "--points", "3"]) == 0
-    found = audit.flip_table(results.read_results(Path("whole")))
+    found = audit.outcome_flip_table(results.read_results(Path("whole")))
     assert list(found["simulated"].unique()) == [
         way.description for way in results.read_results(Path("whole")).exp.system.audit_variants.values()
     ]

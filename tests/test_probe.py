@@ -9,7 +9,7 @@ from fake_engine import FakeEngine
 
 from sweep.cli.main import main
 from sweep.config.experiment import compose
-from sweep.systems.hexapod import flatten_case
+from sweep.systems.hexapod import iterate_case_values
 
 SITES, GEOMS, BELIEFS = 400, 300, 300
 SHELF = "".join(f'<geom name="g{k}" size="1" contype="0" conaffinity="0"/>' for k in range(GEOMS))
@@ -200,7 +200,9 @@ class Differing(FakeEngine):
 def test_what_an_engine_has_no_use_for_is_told_of_the_robot(fake_engine, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     every = [
-        (path, value) for path, value in flatten_case(compose(["scenario=walk_tripod"]).case.robot, "robot") if value
+        (path, value)
+        for path, value in iterate_case_values(compose(["scenario=walk_tripod"]).case.robot, "robot")
+        if value
     ]
     dead = {path: (value, 1.01 * value) for path, value in every if isinstance(value, float)}
     live = {"contact.friction": (0.1, 0.2)}

@@ -33,7 +33,7 @@ from sweep.runs.nominal_levels import FailingLevel, find_failing_levels
 from sweep.runs.results import Results
 from sweep.runs.unsearched_values import describe_unsearched_values
 from sweep.study.clusters import WorkerStatus, connect_lazily
-from sweep.study.study import check_expect, name_axes, parameter_columns, unit_of_column
+from sweep.study.study import name_axes, parameter_columns, unit_of_column, validate_expectations
 from sweep.systems import find_kind_by_keys
 
 JITTER_STUDY = ["study=any_jitter"]  # sixteen rollouts that differ by 1e-6
@@ -82,7 +82,7 @@ def execute_experiment(exp: Experiment, flags: RunFlags) -> int:
         exp, flags.where, flags.limit, lambda line: print(f"sweep: {line}", file=sys.stderr), with_ids
     )
     if not flags.check:  # which judges nothing by outcomes
-        check_expect(exp.study, exp.system, first)
+        validate_expectations(exp.study, exp.system, first)
     if exp.study.is_refined:
         refine.check_refinable(exp.study, first)
     if line := exp.study.design.warning:
@@ -220,7 +220,7 @@ def execute_single(exp: Experiment, flags: RunFlags) -> int:
     """
     if exp.study.keep:
         raise InputError("study.keep stores time series in a study's folder: give study=NAME or out=DIR")
-    check_expect(exp.study, exp.system)
+    validate_expectations(exp.study, exp.system)
     if flags.dry_run:
         runner.prepare_single_batch(exp)
         print(

@@ -209,7 +209,7 @@ def translate_study_or_scenario(group: str, file: Any, content: Mapping[str, Any
     Raises:
         InputError: A choice is unknown, or a group has something else than a name or keys.
     """
-    defaults, values = defaults_of_extended_files(group, file, content), {}
+    defaults, values = defaults_entries_of_base_files(group, file, content), {}
     for key, value in content.items():
         if key in GROUPS and not isinstance(value, str | Mapping | None):
             raise InputError(f"{file}: {key} = {value!r} is not allowed: the name of a choice, or keys and values")
@@ -267,19 +267,19 @@ def translate_group_file(group: str, file: Any, content: Mapping[str, Any]) -> d
     if "extends" not in content and GROUPS[group].has_kinds and kind not in _kinds(group):
         problem = "kind is missing" if kind is None else f"kind = {kind} is unknown"
         raise InputError(f"{file}: {group}.{problem}{suggest(str(kind or ''), _kinds(group))}")
-    start = defaults_of_extended_files(group, file, content) or (
+    start = defaults_entries_of_base_files(group, file, content) or (
         [] if free else [f"/{group}/{kind or group}_schema@_here_"]
     )
     return {"defaults": [*start, "_self_"], **{k: v for k, v in content.items() if k != "extends"}}
 
 
-def defaults_of_extended_files(group: str, file: Any, content: Mapping[str, Any]) -> list[Any]:
+def defaults_entries_of_base_files(group: str, file: Any, content: Mapping[str, Any]) -> list[Any]:
     """Return the files that a configuration file extends, as entries of Hydra's defaults list. Raises `InputError`."""
-    names = [require_choice_of_group(file, group, name) for name in names_of_extended_files(group, content)]
+    names = [require_choice_of_group(file, group, name) for name in names_of_base_files(group, content)]
     return [f"/{group}/{name}@{'_global_' if GROUPS[group].is_global else '_here_'}" for name in names]
 
 
-def names_of_extended_files(group: str, content: Mapping[str, Any]) -> list[Any]:
+def names_of_base_files(group: str, content: Mapping[str, Any]) -> list[Any]:
     """Return the names of the files that a file extends; several are allowed for plans only."""
     if "extends" not in content:
         return []
@@ -289,7 +289,7 @@ def names_of_extended_files(group: str, content: Mapping[str, Any]) -> list[Any]
 
 def referenced_files(group: str, content: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """Yield group and name of each file that a file starts from, by `extends` or by Hydra's list of `defaults`."""
-    yield from ((group, name) for name in names_of_extended_files(group, content))
+    yield from ((group, name) for name in names_of_base_files(group, content))
     defaults = content.get("defaults")
     for entry in defaults if isinstance(defaults, list) else ():
         pairs = entry.items() if isinstance(entry, Mapping) else [str(entry).rpartition("/")[::2]]

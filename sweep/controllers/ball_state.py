@@ -120,7 +120,7 @@ def ball_footholds(radius: Array | float, circle: Array | float, chord: Array | 
     return jnp.stack([ahead, aside, above + 0 * ahead], axis=-1)
 
 
-def turn_footholds_back(
+def rotate_footholds_backward(
     feet: Float[Array, "6 3"], alpha: Array | float, along: Float[Array, " 2"]
 ) -> Float[Array, "6 3"]:
     """Return footholds on a ball turned back by an angle against the ball's direction of motion.

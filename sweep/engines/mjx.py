@@ -82,7 +82,7 @@ class MjxEngine(BatchEngine):
         self.fused = _uses_fused_compiler(settings)
         with devices.precision_context(settings):
             self.topology = dynamics.topology(world)
-            self.physics = physics.make_physics(settings, self.topology)
+            self.physics = physics.make_tick_physics(settings, self.topology)
 
     def rollout_bytes(self) -> int:
         """Return the memory of one rollout's plan, state and metrics in bytes, without compiling anything."""

@@ -36,7 +36,7 @@ def dynamics_name(settings: EngineSettings) -> str:
     return "arrowhead" if settings.dynamics == "auto" else settings.dynamics
 
 
-def make_physics(settings: EngineSettings, top: ModelTopology) -> "TickPhysics":
+def make_tick_physics(settings: EngineSettings, top: ModelTopology) -> "TickPhysics":
     """Make the physics of a scenario.
 
     Args:

@@ -375,7 +375,7 @@ def default_searched_ranges(plan_name: str | None) -> Ranges:
 
 @functools.cache
 def _load_shipped_file(name: str) -> Content:
-    return merge_extended_plans(name, lambda other: project.shipped_files(GROUP)[other].read_text(encoding="utf-8"))
+    return merge_plan_with_bases(name, lambda other: project.shipped_files(GROUP)[other].read_text(encoding="utf-8"))
 
 
 def split_searched(content: Content) -> tuple[Content, Ranges]:
@@ -392,7 +392,7 @@ def split_searched(content: Content) -> tuple[Content, Ranges]:
     return plan, {size: (float(low), float(high)) for size, (low, high) in ranges.items()}
 
 
-def merge_extended_plans(name: str, read: Callable[[str], str]) -> Content:
+def merge_plan_with_bases(name: str, read: Callable[[str], str]) -> Content:
     """Merge a plan file over the plan files that it extends.
 
     Args:
@@ -401,7 +401,7 @@ def merge_extended_plans(name: str, read: Callable[[str], str]) -> Content:
     """
     content = dict(yaml.load(project.quote_boolean_words(read(name)), project.YAML_LOADER))
     bases = content.pop("extends", [])
-    below = [merge_extended_plans(base, read) for base in ([bases] if isinstance(bases, str) else bases)]
+    below = [merge_plan_with_bases(base, read) for base in ([bases] if isinstance(bases, str) else bases)]
     return functools.reduce(_merge_contents, [*below, content])
 
 

@@ -6,12 +6,12 @@ from matplotlib.axes import Axes
 from sweep.config.experiment import Experiment
 from sweep.contract.system import split_side_prefix
 from sweep.report.cells import MapCells, axis_places
-from sweep.study.analytic_limits import AnalyticLimit
+from sweep.study.analytic_limits import AnalyticParameterLimit
 
 LINE_STYLES = ("--", "-.", ":")
 
 
-def limit_curve(theory: AnalyticLimit, exp: Experiment, rows: pd.DataFrame, along: str) -> pd.DataFrame:
+def limit_curve(theory: AnalyticParameterLimit, exp: Experiment, rows: pd.DataFrame, along: str) -> pd.DataFrame:
     """Return the analytic limit at each value of the column `along`, as columns `along` and `limit`; NaN where there is
     none.
 

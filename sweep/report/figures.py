@@ -87,7 +87,7 @@ def count_invalid(rows: pd.DataFrame, where: str) -> str:
 def summarize_audit(results: Results) -> str:
     """Describe how many audited rollouts ended differently when simulated again."""
     text = ""
-    for drawn, table in audit.flip_table(results).groupby("drawn", sort=False):
+    for drawn, table in audit.outcome_flip_table(results).groupby("drawn", sort=False):
         ways = [
             f"{one['flips']} of {one['rollouts'] - one['invalid']} {one['simulated']} "
             f"(at most {format_percent(one['high'])})"

@@ -190,7 +190,7 @@ def summary_tables(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
         ]
         table = pd.DataFrame(counts, columns=["cause", "what it means", "rollouts"])
         yield "not-successful", "Rollouts that did not succeed.", table
-    if len(again := audit.flip_table(results)):
+    if len(again := audit.outcome_flip_table(results)):
         yield (
             "audited",
             r"Rollouts next to the boundary and successes elsewhere, simulated again, with exact 95\,\% intervals.",
@@ -295,7 +295,7 @@ def escape_latex(text: str) -> str:
     """Escape LaTeX's special characters in a text."""
     words = {"\\": "backslash", "~": "asciitilde", "^": "asciicircum", "<": "less", ">": "greater"}
     special = {c: rf"\text{word}{{}}" for c, word in words.items()} | {c: f"\\{c}" for c in "&%$#_{}"}
-    return tables.replace_unit_signs("".join(special.get(c, c) for c in text))
+    return tables.unit_signs_to_latex("".join(special.get(c, c) for c in text))
 
 
 def find_other_letters(text: str) -> tuple[list[str], list[str], list[str]]:

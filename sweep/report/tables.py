@@ -175,10 +175,10 @@ def latex_table(rows: pd.DataFrame, exp: Experiment | None = None) -> str:
     style = format_rows(rows, exp).style.hide(axis="index")
     style = style.format(escape="latex").format_index(escape="latex", axis="columns")
     aligned = "".join("r" if rows[c].dtype.kind in "fi" else "l" for c in rows)
-    return replace_unit_signs(style.to_latex(hrules=True, column_format=aligned))
+    return unit_signs_to_latex(style.to_latex(hrules=True, column_format=aligned))
 
 
-def replace_unit_signs(escaped: str) -> str:
+def unit_signs_to_latex(escaped: str) -> str:
     """Replace signs in units of escaped text by pdfLaTeX commands."""
     for sign, word in LATEX_SIGNS.items():
         escaped = escaped.replace(sign, word)

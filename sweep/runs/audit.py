@@ -163,7 +163,7 @@ def iter_audited_variants(results: Results) -> Iterator[tuple[str, pd.DataFrame]
             yield variant, compare.pair_rows(before, audited, ["point_id"])
 
 
-def flip_table(results: Results) -> pd.DataFrame:
+def outcome_flip_table(results: Results) -> pd.DataFrame:
     """Count the outcomes that flip, for each variant and sample of an audit.
 
     Args:

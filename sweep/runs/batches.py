@@ -121,7 +121,7 @@ def assign_batches(exp: Experiment, planned: pd.DataFrame, wanted: pd.DataFrame)
     """
     table = wanted
     if not planned.empty:
-        table = pd.concat([planned, wanted[~isin_points(wanted, planned)]], ignore_index=True)
+        table = pd.concat([planned, wanted[~mask_of_points(wanted, planned)]], ignore_index=True)
     static = list(static_values(exp, table))
     table = table.assign(group=table.groupby(static, sort=False).ngroup() if static else 0)
     first = int(planned["batch"].max()) + 1 if len(planned) else 0
@@ -174,7 +174,7 @@ def _set_cells(table: pd.DataFrame, column: str, places: np.ndarray, values: np.
     table[column] = pd.Series(cells, table.index, copy=False)
 
 
-def isin_points(rows: pd.DataFrame, points: pd.DataFrame) -> np.ndarray:
+def mask_of_points(rows: pd.DataFrame, points: pd.DataFrame) -> np.ndarray:
     """Return the mask (rows,) of the rows whose point is also in `points`."""
     key = identity_columns(rows.columns)
     return pd.MultiIndex.from_frame(rows[key]).isin(pd.MultiIndex.from_frame(points[key]))

@@ -45,7 +45,7 @@ def verify_folder(folder: Path) -> tuple[list[str], list[str], int]:
     points = _read_sound_points(folder, entries)
     if points is None:
         problems.append(f"{folder / store.POINTS_FILE} is lost or damaged")
-    planned = store.planned_rollouts(folder)
+    planned = store.count_planned_rollouts(folder)
     parts = {folder / entry.file: _find_problem(folder, entry, planned, points) for entry in entries if entry.batches}
     recordings = {
         folder / entry.file: _find_problem(folder, entry, planned) for entry in entries if _is_recording(entry)
@@ -80,7 +80,7 @@ def repair_files(folder: Path, study: str, labels: str) -> list[str]:
     kept = [entry for entry in entries if entry.file == store.POINTS_FILE]
     # parts of a killed `relabel`, then damaged files; deleted below
     dropped = [entry for entry in entries if entry.batches and entry.labels != labels]
-    points, planned = _read_sound_points(folder, entries), store.planned_rollouts(folder)
+    points, planned = _read_sound_points(folder, entries), store.count_planned_rollouts(folder)
     for entry in (*manifest.select_current_parts(entries, labels), *filter(_is_recording, entries)):
         if problem := _find_problem(folder, entry, planned, points):
             remedy = "its rollouts are simulated again" if entry.batches else "`sweep replay` shows its rollouts again"
@@ -116,7 +116,7 @@ def repair_files(folder: Path, study: str, labels: str) -> list[str]:
 
 def rebuild_points(folder: Path, parts: Sequence[ManifestEntry]) -> pd.DataFrame:
     """Return the points table, rebuilt from the leading columns of finished rows."""
-    planned = store.planned_rollouts(folder)
+    planned = store.count_planned_rollouts(folder)
     rows = pd.concat([store.read_part(folder, entry, planned) for entry in parts], ignore_index=True)
     return rows[list(rows.columns[: rows.columns.get_loc("run_id")])]
 
@@ -124,7 +124,7 @@ def rebuild_points(folder: Path, parts: Sequence[ManifestEntry]) -> pd.DataFrame
 def _read_sound_points(folder: Path, listed: Sequence[ManifestEntry]) -> AssignedPoints | None:
     """Return the points table, or None where it is damaged or lacks batches of the listed parts."""
     path = path_inside_folder(folder, store.POINTS_FILE)
-    planned = store.planned_rollouts(folder)
+    planned = store.count_planned_rollouts(folder)
     if not store.has_listed_points(folder, listed, planned):
         return None
     points = AssignedPoints(store.to_pandas(read_parquet(path, max_rows=planned)), str(path))

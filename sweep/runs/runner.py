@@ -26,10 +26,10 @@ from sweep.runs.batches import (
     assign_batches,
     forget_engine,
     halve_batches,
-    isin_points,
     make_batch,
     make_engine,
     make_nominal_batch,
+    mask_of_points,
 )
 from sweep.runs.manifest import ManifestEntry
 from sweep.study import design_kinds
@@ -142,7 +142,7 @@ def count_unassigned_points(exp: Experiment, table: pd.DataFrame, wanted: pd.Dat
         return 0
     if not exp.study.points and len(wanted) == exp.study.max_rollouts:
         return 0
-    return int((~isin_points(make_points(exp.study, exp.system, exp.settings), table)).sum())
+    return int((~mask_of_points(make_points(exp.study, exp.system, exp.settings), table)).sum())
 
 
 def prepare_job(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
@@ -169,7 +169,7 @@ def prepare_job(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
     table = assign_batches(buffered, planned, wanted)
     time_series.check_history_size(buffered, table)
     unplanned = count_unassigned_points(exp, table, wanted)  # by the points' ids, which are not those with a buffer
-    chosen = table["batch"][isin_points(table, wanted)] if len(planned) else table["batch"]
+    chosen = table["batch"][mask_of_points(table, wanted)] if len(planned) else table["batch"]
     return Job(buffered, folder, table, set(chosen.unique().tolist()), unplanned)
 
 

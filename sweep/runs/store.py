@@ -133,7 +133,7 @@ def read_study(folder: Path) -> dict[str, Any]:
     return content
 
 
-def planned_rollouts(folder: Path) -> int:
+def count_planned_rollouts(folder: Path) -> int:
     """Return how many rollouts `study.yaml` plans, which bounds the size of a folder's files.
 
     Where it is lost or damaged, return the most that a study may have.
@@ -194,7 +194,7 @@ def read_points(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFr
     path = path_inside_folder(folder, POINTS_FILE)
     if not path.exists():
         return pd.DataFrame()
-    planned = planned_rollouts(folder)
+    planned = count_planned_rollouts(folder)
     if not has_listed_points(folder, manifest.read_manifest(folder), planned):
         raise DamagedFile(f"{path} is damaged: repeat the same `sweep run` to repair it")
     return read_parquet(path, columns, has_row_names=True, max_rows=planned).to_pandas()
@@ -353,7 +353,7 @@ def read_table(
         InputError: The file is not what is listed, or not allowed.
     """
     path = path_inside_folder(folder, entry.file)
-    planned = planned_rollouts(folder) if planned is None else planned
+    planned = count_planned_rollouts(folder) if planned is None else planned
     try:
         problem = entry.find_problem(path, planned)
     except OSError as error:

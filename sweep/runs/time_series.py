@@ -142,7 +142,7 @@ def read_histories(folder: Path) -> pd.DataFrame:
     entries = store.list_recordings(folder, store.HISTORIES_FOLDER)
     if not entries:
         raise InputError(f"{folder} holds no time series: run the study with study.keep=[tilt_deg]")
-    planned = store.planned_rollouts(folder)
+    planned = store.count_planned_rollouts(folder)
     return pd.concat([store.read_part(folder, entry, planned) for entry in entries], ignore_index=True)
 
 

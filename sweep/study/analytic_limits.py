@@ -16,7 +16,7 @@ LIMIT_KEYS = ("label", "formula", "output", "of", "inputs", "measured")
 
 
 @dataclass(frozen=True)
-class AnalyticLimit:
+class AnalyticParameterLimit:
     """A formula's output as the limit of a parameter, in the parameter's unit.
 
     `of` is the path of the parameter without its side.
@@ -66,7 +66,7 @@ class AnalyticLimit:
         return find_formula(self.formula).complete_inputs(given)
 
 
-def parse_limit(key: str, values: Any) -> AnalyticLimit:
+def parse_limit(key: str, values: Any) -> AnalyticParameterLimit:
     """Parse one entry of `study.theory`.
 
     Args:
@@ -88,7 +88,7 @@ def parse_limit(key: str, values: Any) -> AnalyticLimit:
     inputs = require_known_keys(
         f"{key}.inputs", values.get("inputs", {}), tuple(entry.name for entry in formula.inputs)
     )
-    return AnalyticLimit(
+    return AnalyticParameterLimit(
         values.get("label", formula.name),
         formula.name,
         values["output"],

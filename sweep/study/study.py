@@ -23,7 +23,7 @@ from sweep.core.expressions import AXIS_NAMES_KEY, condition_mask
 from sweep.core.parameters import WHOLE_NUMBER_UNITS, check_value, count, is_within_bounds
 from sweep.study import design_kinds, designs
 from sweep.study.adaptive_sampling import RoundDraws
-from sweep.study.analytic_limits import AnalyticLimit
+from sweep.study.analytic_limits import AnalyticParameterLimit
 from sweep.study.analytic_limits import parse_limit as parse_theory
 from sweep.study.columns import LABEL_COLUMNS, PLACEMENT_COLUMNS, TIMING_COLUMNS
 from sweep.study.design_kinds.base import AdaptiveDesign, Design, DrawContext
@@ -95,7 +95,7 @@ class Study(_PlainSettings):
     axes: tuple[Axis, ...]
     design: Design  # of the axes that have a distribution
     expect: tuple[Expectation, ...]
-    theory: tuple[AnalyticLimit, ...]  # drawn over its maps
+    theory: tuple[AnalyticParameterLimit, ...]  # drawn over its maps
     keep: tuple[str, ...]  # columns whose time histories are kept, see `System.recorded`
 
     @property
@@ -278,7 +278,7 @@ def check_keep(study: Study, system: System, settings: EngineSettings) -> None:
         raise InputError(f"study.keep_rate = {study.keep_rate:g} is not allowed: {rate}")
 
 
-def check_expect(study: Study, system: System, points: "pd.DataFrame | None" = None) -> None:
+def validate_expectations(study: Study, system: System, points: "pd.DataFrame | None" = None) -> None:
     """Raise `InputError` unless the expectations of a study use columns that its rows will have.
 
     Args:

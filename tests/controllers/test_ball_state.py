@@ -14,8 +14,8 @@ from sweep.controllers.ball_state import (
     ball_footholds,
     centre_of_mass,
     mass_centre_jacobian,
+    rotate_footholds_backward,
     swing_over_ball,
-    turn_footholds_back,
 )
 from sweep.controllers.frames import stance_to_frame, stance_to_world, to_frame, to_world
 from sweep.controllers.observation import Observation
@@ -83,15 +83,15 @@ def test_mass_centre_follows_the_body_as_the_formula_says(perched):
 def test_turned_footholds_roll_into_their_mirror_image():
     """On the ball, and as far behind the vertical at touchdown as ahead of it after a stance."""
     radius, turn, level = 0.84, 0.1, ball_footholds(0.84, 0.5, 0.35)
-    landed = turn_footholds_back(level, turn, AHEAD)
+    landed = rotate_footholds_backward(level, turn, AHEAD)
     np.testing.assert_allclose(jnp.linalg.norm(landed, axis=-1), radius, atol=1e-6)
     lifted = rotate(exponential(jnp.array([[0.0, 2 * turn, 0.0]])), landed)  # as a ball that goes along x turns
-    np.testing.assert_allclose(lifted, turn_footholds_back(level, -turn, AHEAD), atol=1e-6)
+    np.testing.assert_allclose(lifted, rotate_footholds_backward(level, -turn, AHEAD), atol=1e-6)
     assert float(jnp.mean(landed[:, 0])) < 0
 
 
 def test_swinging_feet_stay_above_the_ball():
-    start, goal = (turn_footholds_back(ball_footholds(0.84, 0.5, 0.35), turn, AHEAD) for turn in (0.1, -0.1))
+    start, goal = (rotate_footholds_backward(ball_footholds(0.84, 0.5, 0.35), turn, AHEAD) for turn in (0.1, -0.1))
     way = [swing_over_ball(start, goal, u, u, 0.0) for u in jnp.linspace(0, 1, 11)]
     np.testing.assert_allclose(jnp.linalg.norm(jnp.stack(way), axis=-1), 0.84, atol=1e-6)
     np.testing.assert_allclose(way[-1], goal, atol=1e-6)

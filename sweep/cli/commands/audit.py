@@ -40,5 +40,5 @@ def run(args: argparse.Namespace) -> int:
     most = 2 * args.points * len(ways or found.exp.system.audit_variants)
     with report_progress("audit", most, f"{found.exp.scenario} in other ways") as report:
         audit.run_audit(found, args.points, ways, report, lambda line: print(f"sweep: {line}", file=sys.stderr))
-    terminal.print_markdown(tables.markdown_table(audit.flip_table(found)) + "\n")
+    terminal.print_markdown(tables.markdown_table(audit.outcome_flip_table(found)) + "\n")
     return DONE

@@ -55,9 +55,9 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("study is not allowed: export-model exports a single scenario")
     if not exp.values["out"]:
         raise InputError("out is missing: a new or empty folder")
-    exported.check_exportable(exp.case)
+    exported.check_exportable_to_mjcf(exp.case)
     folder, module = Path(exp.values["out"]), f"{exp.scenario}_policy"
-    about = exported.make_scenario(exp.case, exp.settings, exp.thresholds, "robot.mjb", f"{module}:policy")
+    about = exported.make_exported_scenario(exp.case, exp.settings, exp.thresholds, "robot.mjb", f"{module}:policy")
     spec = exported.make_spec(exp.case, exp.settings)
     model, case = spec.compile(), {key: value for key, value in exp.values.items() if key != "out"}
     texts = {

@@ -22,8 +22,8 @@ from sweep.controllers.ball_state import (
     centre_of_mass,
     lean_impulse,
     measured_stance,
+    rotate_footholds_backward,
     swing_over_ball,
-    turn_footholds_back,
 )
 from sweep.controllers.layers import TickContext
 from sweep.controllers.observation import Observation
@@ -407,7 +407,7 @@ class BallDrive(OnBallManoeuvre):
             aside_before=memory.aside, left_offset=track.left_offset,
         )  # fmt: skip
         level = ctx.plan.foothold[ctx.stage]
-        return planned, turn_footholds_back(level, self.step_time * speed / (2 * ball.radius), track.along)
+        return planned, rotate_footholds_backward(level, self.step_time * speed / (2 * ball.radius), track.along)
 
 
 def direction_left_of_path(memory: DriveMemory) -> Float[Array, " 2"]:

@@ -190,7 +190,7 @@ class BeamCross(BeamWalk):
             *self.spread_stages(site, reach),
             *self.diagonal_stages(site, reach, (reach - far) / self.steps),
             Stage("rest", STAND, flywheel=self.select_flywheel_mode(LEVELLING)),
-            *self.fold_stages(site, far),
+            *self.leg_folding_stages(site, far),
             *change_track_stages(site, far, self.wide_track, self.transfer_lift, "wide"),
         ]
         stance = Stance(site.feet_at(far, self.wide_track / 2), site.base_at(far), jnp.array(FACING_MINUS_Y))
@@ -225,7 +225,7 @@ class BeamCross(BeamWalk):
         raised, out = self.intermediate_angles(site, y)
         return [*middle_leg_stages(site, "out", (raised, out)), Stage("out.3", site.step.time, posture=LEVEL_LEGS)]
 
-    def fold_stages(self, site: BeamGeometry, y: Array | float) -> list[Stage]:
+    def leg_folding_stages(self, site: BeamGeometry, y: Array | float) -> list[Stage]:
         """Return the plan stages of 2.6.3 in which the middle legs return to the narrow track on the same path."""
         raised, out = self.intermediate_angles(site, y)
         feet = site.feet_at(y, site.track / 2)

@@ -175,7 +175,7 @@ def render_page(
         ],
         typical=typicals,
         statistics=list(statistics_as_html(pairs.tables if pairs else labelled_sections(results), results.exp)),
-        audit=[] if pairs else list(audit.flip_table(results).itertuples(index=False)),
+        audit=[] if pairs else list(audit.outcome_flip_table(results).itertuples(index=False)),
         pairs=pairs,
         name=pairs.name if pairs else results.name,
         table=first_rows_table(rows.head(MAX_TABLE_ROWS), results.exp),

@@ -101,7 +101,7 @@ def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
         "start": [c for c in (*chosen, *first) if c in (*axes, *figures)][:2],
         "theory": list(limit_curves(results, rows)),
         "refined_cells": refined_cells(results) if len(rows) == len(results.rows) else None,
-        "effects": cell_effects(results),
+        "effects": total_effects_of_refined_map(results),
         "densities": list(count_densities(results, kinds)) if len(rows) < len(results.rows) else [],
     }
 
@@ -244,7 +244,7 @@ def nominal_number(results: Results, column: str) -> float | None:
     return None if column.startswith("axis.") else float(results.exp.system.nominal(column, results.exp.settings))
 
 
-def cell_effects(results: Results) -> dict[str, float] | None:
+def total_effects_of_refined_map(results: Results) -> dict[str, float] | None:
     """Return the total Sobol indices, computed on the cells of a refined map, by column."""
     if not results.exp.study.resolution:
         return None

@@ -195,7 +195,7 @@ class Hexapod:
 
     def iterate_physical_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """Yield path and value of all fields of the case and all numbers of the plan."""
-        yield from flatten_case(self.case, "")
+        yield from iterate_case_values(self.case, "")
         yield from _plan_inputs(self.case, plan_table.plan_content(self.case))
 
     def inputs_left_out_of_point_ids(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
@@ -203,8 +203,10 @@ class Hexapod:
 
         Point ids of earlier rows thus stay valid.
         """
-        yield from flatten_case(Control(), "control")
-        yield from ((path, value) for path, value in flatten_case(Noise(), "noise") if path.startswith(LATER_INPUTS))
+        yield from iterate_case_values(Control(), "control")
+        yield from (
+            (path, value) for path, value in iterate_case_values(Noise(), "noise") if path.startswith(LATER_INPUTS)
+        )
         yield from _plan_inputs(self.case, plan_table.default_plan_content(self.case))
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
@@ -373,7 +375,7 @@ def plan_numbers(file: str, read: Callable[[str], str]) -> dict[str, float | str
         Numbers, and formulas as text, by path.
     """
     places = {key: chart for cls in OBSTACLES.values() for key, chart in cls.charts.items()}
-    plan, _ = plan_table.split_searched(plan_table.merge_extended_plans(file, read))
+    plan, _ = plan_table.split_searched(plan_table.merge_plan_with_bases(file, read))
     return plan_table.numbers_by_path(plan, places)
 
 
@@ -462,12 +464,14 @@ def _plan_inputs(case: Case, plan: Content) -> Iterator[tuple[str, Any]]:
     yield "plan", json.dumps(words)
 
 
-def flatten_case(value: Any, path: str) -> Iterator[tuple[str, Any]]:
+def iterate_case_values(value: Any, path: str) -> Iterator[tuple[str, Any]]:
     """Yield path and value of all members of a case, except numbers of its plan."""
     if isinstance(value, PlanTable):
         return  # see `_plan_inputs`
     if dataclasses.is_dataclass(value):
         for member in dataclasses.fields(value):
-            yield from flatten_case(getattr(value, member.name), f"{path}.{member.name}" if path else member.name)
+            yield from iterate_case_values(
+                getattr(value, member.name), f"{path}.{member.name}" if path else member.name
+            )
     else:
         yield path, value

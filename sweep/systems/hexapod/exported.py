@@ -41,7 +41,7 @@ from sweep.models.legs import JOINT_NAMES, JOINT_V, N_JOINTS, N_LEGS
 from sweep.models.obstacles.surface import body_poses, surface_at
 from sweep.models.robot import link_names
 from sweep.models.scene import native_spec
-from sweep.systems.hexapod import flatten_case, replace_parameter
+from sweep.systems.hexapod import iterate_case_values, replace_parameter
 
 BELIEF_GROUPS = "robot", "drive", "contact", "obstacle", "manoeuvre"  # groups whose quantities the controller is told
 
@@ -57,7 +57,7 @@ class ExportedController(NamedTuple):
     measured: Mapping[str, str]
 
 
-def check_exportable(case: Case) -> None:
+def check_exportable_to_mjcf(case: Case) -> None:
     """Raise `InputError` if a case has features that the exported controller cannot have."""
     plan = nominal_plan(case)
     kind = f"manoeuvre.kind = {case.manoeuvre.kind}"
@@ -111,7 +111,9 @@ def _links(case: Case) -> list[str]:
     return [f"{link}{leg + 1}" for leg in range(N_LEGS) for link in link_names(case.robot)]
 
 
-def make_scenario(case: Case, settings: EngineSettings, limits: OutcomeThresholds, model: str, controller: str) -> Any:
+def make_exported_scenario(
+    case: Case, settings: EngineSettings, limits: OutcomeThresholds, model: str, controller: str
+) -> Any:
     """Make the scenario of the exported model, with the robot's causes of failure as conditions.
 
     Args:
@@ -163,7 +165,7 @@ def make_controller(case: Case, settings: EngineSettings, limits: OutcomeThresho
     period = settings.control_period
     numbers = {
         path: value
-        for path, value in flatten_case(case, "")
+        for path, value in iterate_case_values(case, "")
         if isinstance(value, float) and abs(value) < MAX_WHOLE_NUMBER
     }
     numbers = {path: value for path, value in numbers.items() if path.startswith(BELIEF_GROUPS)}

@@ -34,7 +34,7 @@ from sweep.systems.mujoco_model.engine import (
     print_note,
 )
 from sweep.systems.mujoco_model.kernel import agreement, guard, sensors
-from sweep.systems.mujoco_model.kernel.layout import find_layout, find_stack, unsupported_model_error
+from sweep.systems.mujoco_model.kernel.layout import find_layout, find_stack_of_body, unsupported_model_error
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
 from sweep.systems.mujoco_model.kernel.scalars import Scalar, Vector, flatten_scalars, stack_values
 from sweep.systems.mujoco_model.kernel.smooth import compute_smooth
@@ -247,7 +247,7 @@ class KernelModelEngine(ModelEngine):
         force = acting.mean_push_forces(number[None], 1, self._model.opt.timestep)[0, 0]
         found = []
         for k, body in enumerate(self._spec.pushed_bodies):
-            stack, member = find_stack(self._layout, int(body))
+            stack, member = find_stack_of_body(self._layout, int(body))
             found.append(BodyPush(stack, member, Vector(*(Scalar(force[k, i]) for i in range(3)))))
         return tuple(found), force
 
@@ -255,7 +255,7 @@ class KernelModelEngine(ModelEngine):
         """Centres of mass (p, 3) of the pushed bodies as a step begins, m."""
         rows = []
         for body in self._spec.pushed_bodies:
-            stack, member = find_stack(self._layout, int(body))
+            stack, member = find_stack_of_body(self._layout, int(body))
             centre = state.position + result.smooth.places[stack].centre
             rows.append(stack_values([*centre.member(member)], state.position.x.value.dtype))
         return jnp.stack(rows)

@@ -184,9 +184,7 @@ class MjxModelEngine(ModelEngine):
             raise self._refusal(f"Warp has one terrain for all rollouts, which {grounds[0]} varies", "engine=mjx, ")
         written = [(path, place.field) for path in paths for place in fields.locate_numbers(self._model, path)[1]]
         template = self._template(
-            with_used_features_enabled(
-                self._model, {name: 1.0 for _, name in written if name in PROGRAM_SHAPING_FIELDS}
-            )
+            enable_used_features(self._model, {name: 1.0 for _, name in written if name in PROGRAM_SHAPING_FIELDS})
         )
         for path, name in written:
             if name in UNUSED_FIELDS[self._impl] or not hasattr(model_leaf(template, name), "at"):
@@ -361,7 +359,7 @@ class MjxModelEngine(ModelEngine):
         if shared is not None:
             shape = *shape, shared.tobytes()
         if shape not in self._placed:  # on the device; the last is kept, which mostly is the next one
-            model = with_used_features_enabled(self._model, most)
+            model = enable_used_features(self._model, most)
             if shared is not None:
                 model.hfield_data[terrain.height_data_slice(model)] = shared
             data = mujoco.MjData(model)
@@ -516,7 +514,7 @@ def model_leaf(model: Any, name: str) -> Any:
     return vars(owner).get(name)
 
 
-def with_used_features_enabled(model: mujoco.MjModel, most: Mapping[str, Any]) -> mujoco.MjModel:
+def enable_used_features(model: mujoco.MjModel, most: Mapping[str, Any]) -> mujoco.MjModel:
     """Return a copy of a model in which features that any rollout uses are nonzero, so that the compiled program
     includes them.
 

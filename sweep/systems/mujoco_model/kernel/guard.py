@@ -20,7 +20,7 @@ from sweep.systems.mujoco_model.kernel.layout import (
     SHAPES,
     SPHERE,
     RobotLayout,
-    find_stack,
+    find_stack_of_body,
 )
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
 from sweep.systems.mujoco_model.kernel.scalars import (
@@ -65,7 +65,7 @@ def find_unsimulated_pairs(model: mujoco.MjModel) -> list[tuple[int, int]]:
 
 def enclose_geom(layout: RobotLayout, model: mujoco.MjModel, geom: int) -> EnclosingHull:
     """Return a capsule or a box that encloses a geom of the robot."""
-    stack, member = find_stack(layout, int(model.geom_bodyid[geom]))
+    stack, member = find_stack_of_body(layout, int(model.geom_bodyid[geom]))
     kind, size = int(model.geom_type[geom]), model.geom_size[geom]
     axes, place = rotation_matrix(model.geom_quat[geom]), model.geom_pos[geom].copy()
     if kind in (SPHERE, CAPSULE, CYLINDER):

@@ -168,7 +168,7 @@ def find_layout(model: mujoco.MjModel) -> RobotLayout:
     return RobotLayout(tuple(stacks), group, bool(base), planes)
 
 
-def find_stack(layout: RobotLayout, body: int) -> tuple[int, int]:
+def find_stack_of_body(layout: RobotLayout, body: int) -> tuple[int, int]:
     """Return the stack that contains a body, and its index there. Raises `InputError` for bodies outside the robot."""
     for s, stack in enumerate(layout.stacks):
         found = np.flatnonzero(stack.bodies == body)

@@ -12,7 +12,7 @@ from sweep.systems.mujoco_model.kernel.layout import (
     HINGE,
     SPHERE,
     RobotLayout,
-    find_stack,
+    find_stack_of_body,
     unsupported_model_error,
 )
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
@@ -59,7 +59,7 @@ class Frame:
         self._numbers, self._state, self._result = numbers, state, result
         names = {SITE: "site", GEOM: "geom"}
         body = int(number if kind in (BODY, XBODY) else getattr(model, f"{names[kind]}_bodyid")[number])
-        self._stack, self._member = find_stack(layout, body)
+        self._stack, self._member = find_stack_of_body(layout, body)
         self._layout, place = layout, result.smooth.places[self._stack]
         x, y, z = (one.member(self._member) for one in place.axes)
         origin, axes = place.origin.member(self._member), (x, y, z)

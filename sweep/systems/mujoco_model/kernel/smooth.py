@@ -187,7 +187,7 @@ def compute_smooth(layout: RobotLayout, numbers: ModelNumbers, state: RobotState
         for k in reversed(range(len(stack.joints))):
             bias[s, k] = motions[s, k].dot(forces[s])
             momenta[s, k] = inertias[s].momentum(motions[s, k])
-            for inner in inner_joints(layout, (s, k)):
+            for inner in joints_from_base_to(layout, (s, k)):
                 mass_matrix[inner, (s, k)] = motions[inner].dot(momenta[s, k])
             dofs = numbers.model.jnt_dofadr[stack.joints[k]]
             mass_matrix[(s, k), (s, k)] = motions[s, k].dot(momenta[s, k]) + numbers.get("dof_armature", dofs)
@@ -203,7 +203,7 @@ def compute_smooth(layout: RobotLayout, numbers: ModelNumbers, state: RobotState
     return SmoothTerms(tuple(places), motions, whole, momenta, mass_matrix, forces[0], bias)
 
 
-def inner_joints(layout: RobotLayout, joint: tuple[int, int]) -> list[tuple[int, int]]:
+def joints_from_base_to(layout: RobotLayout, joint: tuple[int, int]) -> list[tuple[int, int]]:
     """Return the joints between the base and `joint`, from the base outward, excluding `joint`."""
     moving = layout.moving_joints(joint[0])
     return moving[: moving.index(joint)]

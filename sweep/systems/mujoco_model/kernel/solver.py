@@ -34,7 +34,7 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     square_root,
     where,
 )
-from sweep.systems.mujoco_model.kernel.smooth import BASE, STILL, SmoothTerms, SpatialVector, inner_joints
+from sweep.systems.mujoco_model.kernel.smooth import BASE, STILL, SmoothTerms, SpatialVector, joints_from_base_to
 
 Joint = tuple[int, int]
 TRIALS = 20  # of a search for a step's length, at most; mostly one or two are enough
@@ -115,7 +115,7 @@ class StepProblem(NamedTuple):
         joints = {joint: StackTotal() for joint in a.joints}
         for joint, rate in a.joints.items():
             n = self.stack_size(joint)
-            for inner in [*inner_joints(self.layout, joint), joint]:
+            for inner in [*joints_from_base_to(self.layout, joint), joint]:
                 entry = smooth.mass[inner, joint]
                 joints[inner].add(entry * rate, n if self.stack_size(inner) == 1 else 1)
                 if inner != joint:
@@ -210,7 +210,7 @@ class StepProblem(NamedTuple):
                         total.add(parts[i] * parts[j] * bend, 1)
         for joint in joints:
             side[joint] = [StackTotal(x) for x in _parts(smooth.momenta[joint])] if has_base else []
-            for inner in inner_joints(self.layout, joint):
+            for inner in joints_from_base_to(self.layout, joint):
                 entries[inner, joint] = StackTotal(smooth.mass[inner, joint])
             entries[joint, joint] = StackTotal(smooth.mass[joint, joint] + stiff.get(joint, ZERO))
         for one, curve in zip(self.constraints.contacts, curves or (), strict=curves is not None):
@@ -219,7 +219,7 @@ class StepProblem(NamedTuple):
         base = [StackTotal(x) for x in _parts(right.base)]
         inverse, low, low_base = {}, {}, {}
         for joint in reversed(joints):
-            n, inner = self.stack_size(joint), inner_joints(self.layout, joint)
+            n, inner = self.stack_size(joint), joints_from_base_to(self.layout, joint)
             pivot = entries[joint, joint].value
             row = {one: entries[one, joint].value for one in inner}
             row_base = [one.value for one in side[joint]]
