@@ -98,12 +98,12 @@ def cpu_context() -> contextlib.AbstractContextManager:
 
 
 def recomputation_cost_threshold() -> int:
-    """Return the cost above which `batch_last_vmap` stores a value instead of computing it again; None on a GPU."""
+    """Return the cost above which `batch_last_vmap` stores a value instead of recomputing it; on a GPU never."""
     return 8 if jax.default_backend() == "cpu" else NEVER_REUSE
 
 
 def run_program(program: Compiled, *args: Any) -> Any:
-    """Run a compiled program after its arguments are sharded over devices as it was compiled for.
+    """Distribute arguments over the devices for which a program was compiled, then run it.
 
     Args:
         program: the compiled program.
@@ -113,7 +113,7 @@ def run_program(program: Compiled, *args: Any) -> Any:
 
 
 def planning_compiler_options(forces: bool) -> dict[str, Any]:
-    """Return XLA compiler options for planning programs, which differ with and without planned forces.
+    """Return XLA compiler options for programs that compute plans; plans with foot forces need other options.
 
     A plan runs once for each batch, so autotuning, 14 s on a GPU, does not pay. Fused, XLA computes a plan again among
     its forces, and gave two stages of a ladder the forces of wrong poses; unfused they are right.
@@ -136,7 +136,7 @@ def default_batch_width() -> int:
 
 
 def make_mesh(width: int) -> jax.sharding.Mesh:
-    """Make the mesh of devices that share a batch: all devices if they divide `width` evenly, else one."""
+    """Make the JAX device mesh for a batch: all devices if their number divides `width`, else a single device."""
     devices = jax.devices() if width % jax.device_count() == 0 else jax.devices()[:1]
     return jax.make_mesh((len(devices),), (BATCH_MESH_AXIS,), (jax.sharding.AxisType.Auto,), devices=devices)
 
@@ -148,7 +148,7 @@ def partition_specs(tree: Any) -> Any:
 
 
 def vmap_in_chunks(function: Callable[..., Any], width: int) -> Callable[..., Any]:
-    """Batch a function like `jax.vmap`, in chunks small enough for the memory that planning takes.
+    """Batch a function like `jax.vmap`, in chunks, which take less memory than the whole batch at once.
 
     Args:
         function: function of one rollout.
@@ -207,7 +207,7 @@ def put_on_devices(tree: Any, over: jax.sharding.Mesh) -> Any:
 
 
 def batch_axes(tree: Any) -> Any:
-    """Axes for `jax.vmap`: the same tree with 0 at leaves that have a batch axis, and None elsewhere."""
+    """Return `in_axes` for `jax.vmap`: 0 for leaves of a tree that have a batch axis, None for the others."""
     return jax.tree.map(lambda x: 0 if np.ndim(x) else None, tree)
 
 
@@ -227,7 +227,7 @@ def to_jax_arrays(tree: Any) -> Any:
 
 
 def noise_keys(streams: np.ndarray) -> Array:
-    """Return the random key of each rollout, which depends only on the number of the rollout's noise stream."""
+    """Return a random key for each rollout, derived only from the number of its noise stream (random sequence)."""
     return _keys(np.uint32(streams & 0xFFFFFFFF), np.uint32(np.int64(streams) >> 32))
 
 

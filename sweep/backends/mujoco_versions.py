@@ -33,7 +33,7 @@ YIELDING_SPRING_FIELDS = {
 
 
 def differing_model_fields(batch: Batch, written: Collection[str]) -> dict[str, np.ndarray]:
-    """Return the numeric fields of the MuJoCo models in a batch that may differ between models, by name, (n, ...) each.
+    """Return the fields that may differ among the n MuJoCo models of a batch, arrays (n, ...) by name.
 
     Args:
         batch: The batch of n models.

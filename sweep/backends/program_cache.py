@@ -42,7 +42,7 @@ class SerializedXlaProgram(NamedTuple):
 def load_or_compile(
     key_parts: Any, devices: Sequence[Any], compile_programs: Callable[[], Sequence[Any]]
 ) -> Sequence[Any]:
-    """Load compiled programs from the cache, or compile and store them.
+    """Load compiled XLA programs from the cache, or compile and store them.
 
     Args:
         key_parts: all that the programs depend on, beyond the code of this package, the versions of its libraries,
@@ -75,8 +75,7 @@ def load_or_compile(
 
 @contextlib.contextmanager
 def without_cache() -> Iterator[None]:
-    """Disable the compilation caches of this package and of JAX within this context. Only one thread at a time can be
-    in it.
+    """Context without the compilation caches of this package and of JAX. Only one thread at a time can be in it.
 
     A CPU program that JAX loads from its own cache lacks functions when it is serialised again.
     """

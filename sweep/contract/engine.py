@@ -17,7 +17,7 @@ SideMaker = Callable[[Mapping[str, Any]], tuple[Any, Any]]  # world and belief w
 
 
 class TimeSeriesRequest(NamedTuple):
-    """Which columns an engine records over time, and how often."""
+    """Names of the columns that an engine records over time, and the number of control ticks between samples."""
 
     columns: tuple[str, ...]
     every: int  # number of control ticks between samples
@@ -28,12 +28,11 @@ class FootContacts(Protocol):
     """Contacts of the feet with the ground in a trace, computed by the system that made the trace."""
 
     def friction_share(self, trace: "Trace") -> np.ndarray:
-        """Return the share of its friction limit that each foot uses, (F, N): 1 where it slips, NaN where it carries no
-        load."""
+        """Return each foot's share of its friction limit in use, (F, N) for F frames, N feet; NaN without load."""
         ...
 
     def depth(self, trace: "Trace", points: np.ndarray, frames: np.ndarray) -> np.ndarray:
-        """Return how deep points lie inside the obstacle of a trace (m), negative outside.
+        """Return how deep points lie inside the obstacle at each frame of a trace (m); negative outside.
 
         Args:
             trace: the rollout.
@@ -76,7 +75,7 @@ class Trace:
 
 
 class MissingTrace(NamedTuple):
-    """Placeholder for a `Trace` of a rollout whose model cannot be compiled for drawing."""
+    """Placeholder for the `Trace` (time series) of a rollout whose model cannot be compiled for drawing."""
 
     reason: str
 
@@ -117,7 +116,7 @@ def same_bits(a: Any, b: Any) -> bool:
 
 
 class Engine(Protocol):
-    """A compiled simulation of one scenario, which receives the parameters of each rollout as data."""
+    """A compiled simulation of one scenario; parameters of each rollout are its input data."""
 
     stages: tuple[str, ...]  # names of the plan's stages
     duration: float  # simulated seconds of a rollout
@@ -126,14 +125,14 @@ class Engine(Protocol):
     devices: int  # number that share a batch; a width that they do not divide evenly uses one
 
     def rollout_bytes(self) -> int | None:
-        """Return the memory of one rollout's plan, state and metrics in bytes; None if C code allocates it.
+        """Return the memory (bytes) that plan, state and metrics of a rollout take; None if C code allocates it.
 
         Temporary arrays within a control tick take several times as much.
         """
         ...
 
     def find_unread_columns(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
-        """Find parameters that cannot change any metric, by analysing the traced program without simulating.
+        """Find parameters, by column, that cannot change any metric: the traced program does not read them.
 
         Args:
             sides: world and belief with values of parameters, by column.
@@ -163,7 +162,7 @@ class Engine(Protocol):
     def run_with_time_series(
         self, world: Any, belief: Any, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
     ) -> tuple[Metrics, np.ndarray]:
-        """Simulate a batch and record columns of some rollouts over time.
+        """Simulate a batch, and record some columns over time for the rollouts at indices `slots`.
 
         Args:
             world: see `run`.
@@ -179,11 +178,11 @@ class Engine(Protocol):
         ...
 
     def trace(self, world: Any, belief: Any, streams: np.ndarray, slot: int) -> Trace:
-        """Simulate a batch and record a full `Trace` of the rollout at index `slot`."""
+        """Simulate a batch, and return the full time series (`Trace`) of the rollout at index `slot`."""
         ...
 
     def traces(self, world: Any, belief: Any, streams: np.ndarray, every: int) -> Sequence[Trace | MissingTrace]:
-        """Simulate a batch once and record a trace of each of its rollouts.
+        """Simulate a batch once, and return a time series (`Trace`) of each of its rollouts.
 
         Args:
             world: see `run`.

@@ -43,5 +43,5 @@ class EngineSettings:
 
     @property
     def is_fusible(self) -> bool:
-        """Whether the fused compiler can compile the closed loop; it only supports this package's own dynamics."""
+        """Whether the package's own compiler can compile simulation and controller together."""
         return self.compiler != "xla" and self.dynamics != "mjx"

@@ -36,8 +36,7 @@ class AuditVariant(NamedTuple):
 
 
 class System(Protocol):
-    """The interface of a simulated system (robot, environment, controller) at nominal parameters. Hashable; equal
-    systems simulate alike.
+    """Interface of a simulated system (robot, environment, controller) with nominal parameters. Equal ones act alike.
 
     A column is the path of a parameter such as `contact.friction`, or `engine.name`, prefixed `world.` or `belief.`
     where only one side has it.
@@ -45,12 +44,12 @@ class System(Protocol):
 
     @property
     def case(self) -> Any:
-        """The nominal world, which is also the nominal belief of the controller."""
+        """All parameters at nominal values, of the simulated world and equally of what the controller believes."""
         ...
 
     @property
     def groups(self) -> Collection[str]:
-        """Names of the parameter groups, the first parts of parameter paths, without `engine`."""
+        """Names of the parameter groups, such as `robot`, with which paths of parameters begin; without `engine`."""
         ...
 
     @property
@@ -59,12 +58,12 @@ class System(Protocol):
         ...
 
     def cause_meanings(self, limits: Limits) -> Mapping[str, str]:
-        """Return the meaning of each cause by name, with the values of its thresholds."""
+        """Return what each cause of failure or invalidity means, by name, with the values of its thresholds."""
         ...
 
     @property
     def invalid_causes(self) -> Collection[str]:
-        """Causes that make a rollout invalid rather than failed."""
+        """Names of the causes that make a rollout invalid (not simulated correctly) rather than failed."""
         ...
 
     @property
@@ -74,12 +73,12 @@ class System(Protocol):
 
     @property
     def bookkeeping_metrics(self) -> Collection[str]:
-        """Names of metrics that serve only to derive outcomes and are not shown."""
+        """Names of metrics that only serve to derive outcomes, and that no table shows."""
         ...
 
     @property
     def recordable_columns(self) -> Collection[str]:
-        """Names of the time-series columns that `study.keep` can record."""
+        """Names of the time-series columns that `study.keep` can store for each row."""
         ...
 
     @property
@@ -89,15 +88,15 @@ class System(Protocol):
 
     @property
     def replay_plots(self) -> Mapping[str, Callable[[Trace], "Figure"]]:
-        """Functions that plot a trace over time, by name."""
+        """Functions that plot the time series (trace) of a rollout, by name."""
         ...
 
     def state_values_by_column(self, trace: Trace) -> Mapping[str, np.ndarray]:
-        """Return the numbers of a trace's states over F frames by column, for `replay --states`."""
+        """Return the simulated states at the F frames of a trace, arrays (F,) by column, for `replay --states`."""
         ...
 
     def model_xml(self, trace: Trace, settings: EngineSettings) -> str:
-        """Return the MuJoCo model of a trace's world as an MJCF text, for `replay --model`.
+        """Return the MuJoCo model (MJCF) with which a trace was simulated, for `replay --model`.
 
         Args:
             trace: The rollout.
@@ -107,16 +106,16 @@ class System(Protocol):
 
     @property
     def unsupported_commands(self) -> Mapping[str, str]:
-        """Commands that do not apply to this system, with the reason."""
+        """Commands that do not work for this system, each with the reason."""
         ...
 
     @property
     def audit_variants(self) -> Mapping[str, AuditVariant]:
-        """Variants of `sweep audit` by name."""
+        """Variants of the simulation that `sweep audit` compares with the original, by name."""
         ...
 
     def settings_summary(self, settings: EngineSettings) -> Mapping[str, str]:
-        """Summarize for readers what is simulated and with which settings, as values by label."""
+        """Summarize for readers what is simulated and with which settings, as a mapping from labels to values."""
         ...
 
     def source_files(self) -> Mapping[str, Path]:
@@ -124,16 +123,15 @@ class System(Protocol):
         ...
 
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:
-        """Return unit, bounds and default of the parameter in a column. Raises `InputError` for parameters that cannot
-        vary."""
+        """Return unit, bounds and default of a column's parameter. Raises `InputError` if it cannot vary."""
         ...
 
     def nominal(self, column: str, settings: EngineSettings) -> Any:
-        """Return the nominal value of the parameter in a column. Raises `InputError` for an unknown column."""
+        """Return the nominal value of the parameter that a column holds. Raises `InputError` for an unknown column."""
         ...
 
     def iterate_physical_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
-        """Yield all physical inputs of a rollout, by path and nominal value.
+        """Yield path and nominal value of each physical parameter of a rollout, in world and belief.
 
         Args:
             paths: Paths that vary.
@@ -141,7 +139,7 @@ class System(Protocol):
         ...
 
     def inputs_left_out_of_point_ids(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
-        """Yield physical inputs at values that point ids leave out, because earlier versions did not have these inputs.
+        """Yield parameters and the values at which point ids (hashes) omit them, as earlier versions lacked them.
 
         Args:
             paths: Paths that vary.
@@ -149,24 +147,23 @@ class System(Protocol):
         ...
 
     def explain_inactive_column(self, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
-        """Explain why a parameter may not change any metric, such as one that only the belief uses; empty if there is
-        no reason."""
+        """Explain why a parameter may change no metric, such as one that only the planner uses; empty if unknown."""
         ...
 
     def find_random_rows(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
-        """Return which rows (n,) draw random numbers, so that their replicates differ."""
+        """Return which of n rows use random numbers, so that repeating them with other seeds gives other results."""
         ...
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
-        """Raise `InputError` if rows of a points table combine values that are not allowed together."""
+        """Raise `InputError` if a row of the points table combines parameter values that are not allowed together."""
         ...
 
     def describe_unsearched_values(self, table: "pd.DataFrame", settings: EngineSettings) -> Iterable[str]:
-        """Yield a line for each parameter of a points table outside the values that its controller was made for."""
+        """Yield a warning for each parameter whose values leave the range for which the controller was made."""
         ...
 
     def make_world_and_belief(self, values: ColumnValues) -> tuple[Any, Any]:
-        """Make world and belief from values by column: values of both sides first, then those of one side.
+        """Make the simulated parameters (world) and the planner's (belief) from values by column.
 
         Args:
             values: Numbers, or arrays over a batch, by column.
@@ -200,15 +197,15 @@ class System(Protocol):
         ...
 
     def device(self, settings: EngineSettings) -> str:
-        """Name the device of an engine, in as much detail as can change the bits of a row."""
+        """Name the hardware on which an engine runs, in as much detail as can change the bits of a row."""
         ...
 
     def run_id(self, settings: EngineSettings) -> str:
-        """Hash how rows are simulated; rows with equal hash are reproducible bit for bit."""
+        """Return a hash of how rows are simulated; rows with equal hash are reproducible bit for bit."""
         ...
 
     def judge(self, figures: Mapping[str, np.ndarray], limits: Limits, stages: Sequence[str]) -> dict[str, np.ndarray]:
-        """Derive the outcome labels of rows (`sweep.study.columns.LABEL_COLUMNS`) from their stored metrics.
+        """Derive outcome, cause and other labels (`sweep.study.columns.LABEL_COLUMNS`) of rows from their metrics.
 
         Args:
             figures: Metrics (n,) by column.
@@ -226,7 +223,7 @@ class System(Protocol):
         ...
 
     def thresholds(self, limits: Limits) -> Mapping[str, float]:
-        """Return the threshold values by metric column."""
+        """Return the thresholds of the causes of failure or invalidity, by the metric to which each applies."""
         ...
 
     def explain_cause(self, row: Mapping[str, Any], limits: Limits) -> str:
@@ -244,7 +241,7 @@ class SystemSetup(NamedTuple):
 
 
 def split_side_prefix(column: str) -> tuple[str, str]:
-    """Split a column into side and path: `world.contact.friction` into `world` and `contact.friction`.
+    """Split a column into world or belief, and path: `world.contact.friction` into `world` and `contact.friction`.
 
     A column without a side belongs to `both`.
     """
@@ -253,8 +250,7 @@ def split_side_prefix(column: str) -> tuple[str, str]:
 
 
 def split_world_and_belief(values: ColumnValues) -> dict[str, dict[str, Any]]:
-    """Return the values for world and belief by parameter path; values for both sides come first, engine settings are
-    left out."""
+    """Split values by column into those of the simulated world and those of the planner's belief, by path."""
     placed = [
         (*split_side_prefix(column), value) for column, value in values.items() if not column.startswith("engine.")
     ]
@@ -264,7 +260,7 @@ def split_world_and_belief(values: ColumnValues) -> dict[str, dict[str, Any]]:
 
 
 def judge_rollout(system: System, metrics: Mapping[str, Any], limits: Limits, stages: Sequence[str]) -> dict[str, Any]:
-    """Derive the labels of a single rollout from its metrics.
+    """Derive outcome, cause and other labels of a single rollout from its metrics.
 
     Args:
         system: The system that was simulated.

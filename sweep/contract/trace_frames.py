@@ -59,7 +59,7 @@ def base_body_id(model: mujoco.MjModel) -> int:
 
 
 def base_pose(trace: Trace) -> np.ndarray:
-    """Return position (m) and quaternion (w, x, y, z) of the base in the world, (F, 7).
+    """Return position (m) and quaternion (w, x, y, z) of the base in world axes at the F frames of a trace, (F, 7).
 
     If the base has no free joint, this is the centre of the model.
     """
@@ -72,12 +72,12 @@ def base_pose(trace: Trace) -> np.ndarray:
 
 
 def joint_positions(trace: Trace) -> np.ndarray:
-    """Return the positions (F, J) of hinge and slide joints (rad or m); hexapod: alpha, beta, gamma, leg by leg."""
+    """Return the positions (rad or m) of the J hinge and slide joints at the F frames of a trace, (F, J)."""
     return trace.qpos[:, trace.model.jnt_qposadr[hinge_and_slide_joints(trace.model)]]
 
 
 def joint_rates(trace: Trace) -> np.ndarray:
-    """Return the rates (F, J) of all hinge and slide joints, rad/s or m/s."""
+    """Return the rates of J hinge and slide joints (rad/s or m/s) at F frames of a trace, (F, J)."""
     return trace.qvel[:, trace.model.jnt_dofadr[hinge_and_slide_joints(trace.model)]]
 
 

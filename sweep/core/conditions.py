@@ -15,8 +15,7 @@ GOAL, UNTRUSTED = "goal", "untrusted"
 
 
 class Condition(NamedTuple):
-    """A cause of failure or invalidity given as a condition on metrics; for the goal, the cause applies where it does
-    not hold."""
+    """A cause of failure or invalidity given as a condition on metrics; for goals, a condition that must hold."""
 
     cause: str
     threshold_key: str  # in `outcome`
@@ -24,11 +23,11 @@ class Condition(NamedTuple):
 
     @property
     def meaning(self) -> str:
-        """Description of the cause in words, for tables."""
+        """Description of the cause in words, for tables of causes."""
         return f"not {self.text}" if self.cause == GOAL_MISSED else self.text
 
     def judge(self, columns: ColumnArrays) -> CauseVerdicts:
-        """Return which rows (n,) the cause applies to, judged by their metrics at the end of the rollout."""
+        """Judge n rows by their final metrics: where this cause applies, and with which margin."""
         found = np.asarray(evaluate_expression(self.text, columns.__getitem__))
         holds = ~found if self.cause == GOAL_MISSED else found
         invalid, none = self.cause == UNTRUSTED, np.zeros(holds.shape, int)
@@ -37,8 +36,7 @@ class Condition(NamedTuple):
 
     @property
     def threshold(self) -> tuple[str, float, bool] | None:
-        """Metric, threshold, and whether the cause applies below it, if the condition is `metric < number` or similar;
-        else None."""
+        """Metric, threshold and direction of a simple condition such as `metric < number`; else None."""
         match ast.parse(self.text, mode="eval").body:
             case ast.Compare(ast.Name(name), [ast.Lt() | ast.LtE() | ast.Gt() | ast.GtE() as sign], [number]):
                 with suppress(ValueError, TypeError):
@@ -49,7 +47,7 @@ class Condition(NamedTuple):
         return None
 
     def margin(self, columns: ColumnArrays) -> np.ndarray:
-        """Return the distance of rows (n,) from the threshold as a share of it, at most 1; NaN without a threshold."""
+        """Return how far each of n rows is from the threshold, divided by the threshold, at most 1; NaN without one."""
         if self.threshold is None:
             return np.full(len(next(iter(columns.values()))), np.nan)
         name, value, below = self.threshold

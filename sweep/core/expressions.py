@@ -71,7 +71,7 @@ def condition_mask(frame: "pd.DataFrame", condition: str | None) -> np.ndarray:
 
 
 def condition_columns(frame: "pd.DataFrame", condition: str | None) -> list[str]:
-    """Return the columns of a table that a condition uses.
+    """Return the names of the table columns that a condition uses.
 
     Args:
         frame: A table with the columns of a study's rows; it may be empty.

@@ -124,7 +124,7 @@ def read_bytes_limited(path: Path, most: int = MAX_READ_BYTES) -> bytes:
 
 
 def path_descriptor(path: Path) -> int | None:
-    """Return the file descriptor that a path such as /dev/stdout or /dev/fd/3 names; None for other paths.
+    """Return the number of the file descriptor that a path such as /dev/stdout or /dev/fd/3 names; else None.
 
     The file behind it may be appended to by other programs, so it must not be replaced.
     """
@@ -254,6 +254,6 @@ def digest(content: Buffer) -> str:
 
 
 def digest_file(path: Path) -> str:
-    """Return the `digest` of a file's content, which is read in small pieces. Raises `OSError`."""
+    """Return the SHA-256 of a file's content, read in small pieces, as 64 hexadecimal digits. Raises `OSError`."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 
 class ConfigGroup(NamedTuple):
-    """A configuration group. Its parameter classes are named as text, so that listing groups imports no simulator."""
+    """A configuration group, with its parameter classes named as text, so that listing imports no simulator."""
 
     class_location: str  # module:name of its parameter dataclass, or of all of them by their `kind`
     in_case: bool = False  # whether a rollout's world and belief have it
@@ -22,17 +22,17 @@ class ConfigGroup(NamedTuple):
 
     @property
     def source_path(self) -> str:
-        """Source folder or module of the group's classes, relative to the package."""
+        """Source folder or module of the group's parameter classes, relative to the package."""
         return self.class_location.partition(":")[0].partition(".")[2].replace(".", "/")
 
     @property
     def class_name(self) -> str:
-        """Name of the group's class, or of the table of its classes by kind."""
+        """Name of the group's parameter class, or of the table that lists several such classes by `kind`."""
         return self.class_location.partition(":")[2]
 
     @property
     def has_single_class(self) -> bool:
-        """Whether a single parameter dataclass is the group's schema."""
+        """Whether a single parameter dataclass is the schema of the group, instead of one for each `kind`."""
         return not (self.has_kinds or self.is_global or self.has_free_keys)
 
     def read_file_numbers(self, file: str, read: Callable[[str], str]) -> dict[str, float | str]:
@@ -45,7 +45,7 @@ class ConfigGroup(NamedTuple):
         return resolve_name(self.number_lister)(file, read)
 
     def load(self) -> Any:
-        """Import the group's parameter dataclass, or the table of its classes by kind."""
+        """Import the group's parameter dataclass, or the table of its dataclasses by `kind`."""
         return resolve_name(self.class_location)
 
 

@@ -60,7 +60,7 @@ class CommonStart(Protocol):
         ...
 
     def constant_state(self, value: Any) -> Array:
-        """Return a constant as a metric state, in the rollout's precision, for each rollout of a batch."""
+        """Return a constant as a metric's initial state, in the simulation's precision, for each rollout of a batch."""
         ...
 
     def init_touchdown_points(self) -> "TouchdownPoints":
@@ -69,7 +69,7 @@ class CommonStart(Protocol):
 
 
 class CommonTick(Protocol):
-    """The s samples since the previous report, as every system reports them to `Metric.update`.
+    """The s samples of the robot's motion since the previous report, as every system passes them to `Metric.update`.
 
     The hexapod reports one sample at the end of each control tick. MuJoCo models report every physics step: `native`
     all those of a tick at once, `mjx` one at a time. A metric must not depend on how samples are grouped.
@@ -122,8 +122,7 @@ class CommonTick(Protocol):
         ...
 
     def motion_along_command(self, before: Array) -> tuple[Array | None, Array]:
-        """Return how far the base moved along the commanded direction since the previous report, and how long the
-        command moved it.
+        """Return distance and duration of the base's motion along the commanded direction since the previous report.
 
         Args:
             before: Position of the base (..., 3) at the report before.
@@ -140,7 +139,7 @@ class CommonRollout(Protocol):
 
     @property
     def columns(self) -> Mapping[str, Array]:
-        """Columns of other metrics, at least those that `Metric.reads` names."""
+        """Metrics that were computed before, by column; at least the columns that `Metric.reads` names."""
         ...
 
     @property
@@ -163,16 +162,15 @@ class CommonRollout(Protocol):
 
 
 class TouchdownPoints(Protocol):
-    """Touchdown points of the feet by the system's contact rule; state (a pytree) of the slip metric."""
+    """Points at which loaded feet touched down; the state (a pytree) of the slip metric."""
 
     def update(self, ctx: Any) -> tuple["TouchdownPoints", Array]:
-        """Return the state after a report, and the largest slip (..., feet) in m of each loaded foot in it."""
+        """Return the touchdown points after a report, and for each loaded foot its largest slip (..., feet) in m."""
         ...
 
 
 class ContinuousTwin(NamedTuple):
-    """A continuous metric that crosses its limit exactly when a count metric misses its threshold, so that the count
-    has a smooth margin."""
+    """A continuous metric that crosses its limit exactly when an integer metric does, and gives it a smooth margin."""
 
     metric: str
     limit: float
@@ -180,8 +178,7 @@ class ContinuousTwin(NamedTuple):
 
 
 class LeadingMetric(NamedTuple):
-    """A metric that falls to zero before another metric can grow towards its threshold; it gives margins of rows that
-    are still far from failing."""
+    """A metric that reaches zero before another one starts to grow; gives margins to rows that are far from failing."""
 
     metric: str
     scale: float  # in which its margin is counted
@@ -213,7 +210,7 @@ class Cause:
 
     @property
     def threshold(self) -> str:
-        """Key of the threshold in the group `outcome`: the metric's name with `min` or `max` before the unit."""
+        """Configuration key of the cause's threshold, the metric's name with `min` or `max` before the unit."""
         words = self.metric.split("_")
         if self.key is not None or {"min", "max"} & {*words}:
             return self.metric if self.key is None else self.key
@@ -221,25 +218,25 @@ class Cause:
         return "_".join([*words[: len(words) - len(unit)], "min" if self.below else "max", *unit])
 
     def threshold_parameter(self) -> Any:
-        """Make the configuration parameter of the threshold, in the metric's unit."""
+        """Make the configuration parameter of the cause's threshold, in the unit of its metric."""
         return quantity(self.default, column_unit(self.metric), at_least=-math.inf if self.below else 0.0)
 
     def limit(self, value: float | None) -> float:
-        """Return the threshold, or infinity if it is None, so that the cause never applies."""
+        """Return a threshold as a number; None becomes infinity, so that the cause never applies."""
         return (-math.inf if self.below else math.inf) if value is None else value
 
     def holds(self, value: Any, limit: Any) -> Any:
-        """Return whether values of the metric (numbers or arrays, NumPy or JAX) are beyond `limit`."""
+        """Return whether values of the metric (numbers or arrays, NumPy or JAX) are beyond the threshold `limit`."""
         return value < limit if self.below else value > limit
 
     @property
     def companion_metric(self) -> str:
-        """Name of the second metric from which the margin is computed; empty if there is none."""
+        """Name of a second metric that the margin of the cause also uses; empty if there is none."""
         other = self.twin or self.lead
         return other.metric if other else ""
 
     def margin(self, value: Any, limit: float, companion: Any = None) -> Any:
-        """Distance of the metric from its threshold in units of `scale`, at most 1; negative where the cause holds.
+        """Return the distance of a metric from its threshold in units of `scale`, at most 1; negative beyond it.
 
         A count takes the distance of its `twin` where both agree. With a `lead` the margin is at most the distance of
         the lead from zero, and negative only where the cause holds.
@@ -282,12 +279,12 @@ class Metric[S](NamedTuple):
 
 
 def column_unit(column: str) -> str:
-    """Return the unit that the end of a column's name says, such as `m` of `slip_max_m`; `-` without one."""
+    """Return the unit at the end of a column's name, such as `m` of `slip_max_m`; `-` if it names none."""
     return UNIT_BY_SUFFIX.get(column.rpartition("_")[2], "-")
 
 
 def merge_columns(metrics: Iterable[Metric[Any]]) -> dict[str, str]:
-    """Return the meaning of each column of some metrics."""
+    """Return the columns of several metrics and what they mean, by column name."""
     return {name: meaning for metric in metrics for name, meaning in metric.columns.items()}
 
 
@@ -348,7 +345,7 @@ def make_extremes_metric(
 
 
 def find_metrics(package: str, first: Collection[str] = (), others: Collection[str] = ()) -> dict[str, Metric[Any]]:
-    """Find the metrics that the modules of a package define as `METRIC`.
+    """Import the modules of a package and return the metrics that they define as `METRIC`.
 
     Args:
         package: Name of the package.
@@ -365,7 +362,7 @@ def find_metrics(package: str, first: Collection[str] = (), others: Collection[s
 
 
 def select_metrics(metrics: Iterable[Metric[Any]], parts: Collection[str], world: Any) -> tuple[Metric[Any], ...]:
-    """Select the metrics that a system with certain parts has in a kind of world.
+    """Select the metrics that apply to a system, by what it has (such as feet or hinges) and by its world.
 
     A metric that reads columns which no other one has is left out.
 
@@ -380,7 +377,7 @@ def select_metrics(metrics: Iterable[Metric[Any]], parts: Collection[str], world
 
 
 def compute_columns(metrics: Iterable[Metric[Any]], states: Iterable[Any], rollout: Any) -> dict[str, Array]:
-    """Compute the columns of all metrics; those that read columns of others come last.
+    """Compute the columns of all metrics at the end of a rollout; metrics that read other columns come last.
 
     Args:
         metrics: The metrics.

@@ -14,8 +14,7 @@ ColumnArrays = Mapping[str, np.ndarray]  # metrics (n,) by name
 
 @dataclass(frozen=True)
 class CauseVerdicts:
-    """Verdicts of one cause on n rows: where it applies, when it first applied, and its margin; input of
-    `classify_rows`."""
+    """Judgement of n rows by one cause: whether and when it applies, and the margin; input of `classify_rows`."""
 
     name: str
     key: str  # of the threshold in `outcome`; empty without one
@@ -27,7 +26,7 @@ class CauseVerdicts:
 
 
 def judge_cause(cause: Cause, columns: ColumnArrays, limit: float, end_stage: np.ndarray) -> CauseVerdicts:
-    """Judge rows by the cause of a metric: where its threshold is crossed, when, and by which margin.
+    """Judge rows by a cause: whether its metric is beyond the threshold, since when, and by which margin.
 
     Args:
         cause: The cause.
@@ -54,7 +53,7 @@ def judge_cause(cause: Cause, columns: ColumnArrays, limit: float, end_stage: np
 
 
 def cause_margin(cause: Cause, columns: ColumnArrays, limit: float) -> np.ndarray | None:
-    """Return the distance of rows (n,) from a cause's threshold in units of its scale.
+    """Return the distance of n rows from a cause's threshold, divided by the scale of the cause.
 
     Args:
         cause: The cause.
@@ -76,7 +75,7 @@ def cause_margin(cause: Cause, columns: ColumnArrays, limit: float) -> np.ndarra
 def classify_rows(
     causes: Sequence[CauseVerdicts], end_stage: np.ndarray, stages: Sequence[str], unknown_margin: float = -np.inf
 ) -> dict[str, np.ndarray]:
-    """Label rows with outcome, cause and margin from the verdicts of all causes.
+    """Give each row an outcome, a cause and a margin, from the judgements of all causes.
 
     The cause that held first in time decides. Of causes at the same time the first of the sequence decides: systems
     name those of `invalid` first.
@@ -119,7 +118,7 @@ def classify_rows(
 def find_least_margins(
     margins: Mapping[str, np.ndarray], unknown_margin: float = -np.inf
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find for each of n rows the threshold that is nearest, and the margin to it.
+    """Find for each of n rows the threshold to which it is nearest, and its margin to that threshold.
 
     Args:
         margins: Distances (n,) from thresholds, by key.

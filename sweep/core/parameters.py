@@ -105,7 +105,7 @@ def setting(default: float, unit: str, *, above: float = -math.inf, at_most: flo
 
 
 def file_name(default: str) -> Any:
-    """Declare a parameter that names a file or a module of the project; another one needs another compiled program."""
+    """Declare a parameter that names a file or module of the project; another name needs another compiled program."""
     return dataclasses.field(default=default, metadata={"role": "file"})
 
 
@@ -115,7 +115,7 @@ def flag(default: bool) -> Any:
 
 
 def exclude_from_run_id(member: Any) -> Any:
-    """Exclude a parameter that changes no row from the `repr` of its settings, and thereby from `run_id`."""
+    """Exclude a parameter that changes no row from `run_id`, the hash of how rows are simulated."""
     member.repr = False
     return member
 

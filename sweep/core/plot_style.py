@@ -110,7 +110,7 @@ def legend_below(figure: Figure, handles: Sequence[Any]) -> None:
 
 
 def legend_width(widths: Sequence[float], columns: int) -> float:
-    """Return the width of a legend whose entries fill the columns one after the other.
+    """Return the width of a legend in points, whose entries fill its columns one after the other.
 
     Args:
         widths: Widths of the entries, in any unit.

@@ -104,7 +104,7 @@ def compilation_seconds() -> float:
 
 
 def format_compile_estimate(step: str) -> str:
-    """Estimate how long compilation and first batch take, from the last time on this machine, as text."""
+    """Format as text how long compilation and first batch will take, judged by their last time on this machine."""
     waits = _load_waits()
     if waits is None:
         return f"compile time unknown: {cache_folder()}/{DURATIONS_FILE} is damaged; the next run rewrites it"

@@ -41,7 +41,7 @@ def find_project() -> Path | None:
 
 
 def find_results_around(file: Path) -> Path | None:
-    """Find the results folder, or the crate, that contains a file.
+    """Find the folder of results, or of a packed study (RO-Crate), that contains a file.
 
     Nothing in such a folder is run or taken for a project, as it may come from a stranger.
 
@@ -62,7 +62,7 @@ def find_results_around(file: Path) -> Path | None:
 
 @contextmanager
 def trust_project(folder: Path) -> Iterator[None]:
-    """Context that works in the folder of a crate whose code the user has allowed to run."""
+    """Context that works in the folder of a packed study (RO-Crate) whose code the user has allowed to run."""
     _trusted.add(place := folder.resolve())
     try:
         with chdir(place):
@@ -81,7 +81,7 @@ def _ends_with_checksum(file: Path) -> bool:
 
 
 def project_files(group: str) -> dict[str, Path]:
-    """Return the working project's files of a configuration group, by name; empty outside a project."""
+    """Return the files that the user's project has for a configuration group, by name; empty outside a project."""
     folder = find_project()
     return {file.stem: file for file in sorted((folder / GROUP_FOLDERS[group]).glob("*.yaml"))} if folder else {}
 
@@ -108,7 +108,7 @@ def find_file(group: str, name: str) -> Any:
 
 
 def first_comment(file: Any) -> str:
-    """Return the first comment line of a configuration file, which describes it; empty without one."""
+    """Return the first comment line of a configuration file, which describes the file; empty without one."""
     lines = file.read_text(encoding="utf-8", errors="replace").splitlines()
     return next((line[2:] for line in lines if line.startswith("# ") and not line.startswith("# @")), "")
 
@@ -169,7 +169,7 @@ def quote_boolean_words(text: str) -> str:
 
 
 def import_user_modules() -> tuple[ModuleType, ...]:
-    """Import the user modules, which add obstacles, manoeuvres and designs: the project's, then those of packages.
+    """Import modules that add obstacles, manoeuvres and designs: those of the user's project, then those of packages.
 
     The `OBSTACLES`, `MANOEUVRES` and `DESIGNS` of a module map kinds to classes. An installed package announces a
     module as an entry point of the group `sweep.modules`. Raises `InputError` where a module cannot be imported.
@@ -178,7 +178,7 @@ def import_user_modules() -> tuple[ModuleType, ...]:
 
 
 def user_module_names() -> tuple[str, ...]:
-    """Return the names of the user modules without importing them. Raises `InputError`."""
+    """Return the names of modules with user code without importing them. Raises `InputError`."""
     return (*read_settings().get("modules", ()), *_announced())
 
 

@@ -65,7 +65,7 @@ def search_version() -> str:
 
 
 def is_current_code(version: str, libraries: Mapping[str, str]) -> bool:
-    """Return whether a stored code version equals that of the installed source files.
+    """Return whether a stored code version (a hash) equals that of the installed source files.
 
     Args:
         version: The stored hash.
@@ -115,7 +115,7 @@ def _plans() -> bytes:
 
 @functools.cache
 def list_source_files(modules: tuple[str, ...]) -> tuple[Path, ...]:
-    """List the package's source files that some modules consist of and import, directly or through other modules."""
+    """List the source files of some modules and of the package's modules that they import, directly or indirectly."""
     found: dict[str, Path] = {}
     todo = list(modules)
     while todo:
@@ -220,7 +220,7 @@ def version_record() -> dict[str, Any]:
 
 @functools.cache
 def find_commit() -> str:
-    """Return the Git commit of the installed package, else of the checkout; empty where it is unknown.
+    """Return the Git commit from which the package was installed, or that of its checkout; empty if unknown.
 
     Ends in `-dirty` where sources or configurations differ from the commit.
     """

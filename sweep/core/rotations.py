@@ -78,7 +78,7 @@ def wrap_angle(angle: Float[Array, "*b"]) -> Float[Array, "*b"]:
 
 
 def nearest_equivalent_angle(angle: Float[Array, "*b"], to: Float[Array, "*b"]) -> Float[Array, "*b"]:
-    """Add whole turns to an angle so that it is nearest to another one.
+    """Add whole turns to an angle (rad) so that it is nearest to another angle.
 
     Args:
         angle: Angles in rad, of any shape.

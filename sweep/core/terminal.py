@@ -88,7 +88,7 @@ def wrap_line(line: str, width: int) -> str:
 
 
 def fit_table(lines: list[str], width: int, required: Collection[str], hidden_hint: str) -> Iterator[str]:
-    """Yield the lines of a Markdown table with the columns that fit, and a note about those that do not.
+    """Yield the lines of a Markdown table, without columns that do not fit, and a note that names these columns.
 
     Args:
         lines: Lines of the table.

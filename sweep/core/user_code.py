@@ -69,7 +69,7 @@ def take_printed_lines(with_tracebacks: bool = False) -> list[str]:
 
 @contextlib.contextmanager
 def run_user_code(what: str, folder: Path) -> Iterator[None]:
-    """Context that runs user code in its folder, captures its output and locates its errors.
+    """Context that runs user code in its own folder, captures what it prints, and names file and line of its errors.
 
     Relative paths are those of its folder, or of the one that it has changed to; ours stay as they are. What it prints
     is kept for `take_printed_lines`. A call that does not return is reported on the standard error.
@@ -93,7 +93,7 @@ def run_user_code(what: str, folder: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def report_slow_call(what: str, after: float | None = None) -> Iterator[None]:
-    """Context that prints a note on standard error if its code takes long.
+    """Context that prints a note on standard error if the code inside runs for long.
 
     Args:
         what: what runs.

@@ -18,7 +18,7 @@ Number = Array | float
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Vector:
-    """A 3-vector whose components are separate arrays over legs or other points; the caller knows the frame."""
+    """A 3-vector whose components are separate arrays, an element for each leg or point; the caller knows the frame."""
 
     x: Array
     y: Array

@@ -31,7 +31,7 @@ def format_yaml_error(error: yaml.YAMLError) -> str:
 
 
 def check_yaml(text: str, name: str, numbers: bool = True) -> None:
-    """Refuse YAML whose numbers are ambiguous, or which takes too much memory when it is loaded.
+    """Raise an error for YAML that has ambiguous numbers, or that takes too much memory when loaded.
 
     Args:
         text: The content of a file.

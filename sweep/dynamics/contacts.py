@@ -29,7 +29,7 @@ CREEP_RATE = 1e-4  # rad/s, at which the resisting moment reaches its limit: res
 
 
 class Anchors(NamedTuple):
-    """Contact anchors of n points, to which tangential springs are attached: r_T of (1.2.2)."""
+    """Points on the surface to which the tangential springs of n contact points are attached: r_T of (1.2.2)."""
 
     # m, in the axes of the body that owns the face, world axes for the fixed world; of what rolls, from the contact
     positions: Vector
@@ -38,7 +38,7 @@ class Anchors(NamedTuple):
 
 
 class ContactGeometry(NamedTuple):
-    """Quantities of n contacts that stay constant during the velocity solve of one step, in base or world axes."""
+    """Normals, spring offsets and other data of n contacts that stay constant within a step, in base or world axes."""
 
     depth: Float[Array, " n"]
     normal: Vector
@@ -52,7 +52,7 @@ class ContactGeometry(NamedTuple):
 
 
 class ContactForces(NamedTuple):
-    """Contact forces at n points for a trial velocity, made by `contact_forces`."""
+    """Forces of n contacts for an assumed velocity at the end of the step, made by `contact_forces`."""
 
     force: Vector  # N, on the point
     normal: Float[Array, " n"]  # N, along the surface normal
@@ -64,7 +64,7 @@ class ContactForces(NamedTuple):
 
 
 def no_anchors(n: int, dtype: jnp.dtype) -> Anchors:
-    """Make the anchors of n points that are not in contact."""
+    """Make the contact anchors (spring attachments) of n points that are not in contact."""
     return Anchors(Vector.from_array(jnp.zeros((n, 3), dtype)), jnp.zeros(n, bool), jnp.zeros(n, FACE_DTYPE))
 
 
@@ -119,7 +119,7 @@ def to_body_frame(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: Bo
 def contact_geometry(
     contact: Contact, surface: Surface, anchors: Anchors, point: Vector, frames: Frames
 ) -> tuple[ContactGeometry, Vector]:
-    """Return the contact geometry and the anchors of contact points at the start of a step, world axes.
+    """Return normals and other data of contacts at the start of a step, and their anchors (spring ends), world axes.
 
     A point keeps its anchor while it stays loaded on the same face; otherwise it takes hold where it is now.
     """
@@ -157,7 +157,7 @@ def contact_forces(contact: Contact, geometry: ContactGeometry, velocity: Vector
 
 
 def contact_damping(geometry: ContactGeometry, forces: ContactForces, h: float) -> Matrix:
-    """Return the derivative -h d force / d velocity (N s^2/m) of the contact law at given forces.
+    """Return the derivative -h d force / d velocity (N s^2/m) of contact forces, for a time step h.
 
     It keeps the coupling of the limit to the normal force, which makes it unsymmetric: without it the two iterations of
     a step diverge at 2 ms. Its parts are kept as values: worked out twice, they might differ.
@@ -183,8 +183,7 @@ def update_anchors(
     velocity: Vector,
     h: float,
 ) -> Anchors:
-    """Return the contact anchors after a step; a slipping point drags its anchor along so that the force stays at the
-    Coulomb limit.
+    """Return the contact anchors (ends of tangential springs) after a step; a slipping point drags its anchor along.
 
     The contact of what rolls moves over both surfaces alike: only the slip between them, at `velocity`, stretches it.
     All in world axes.
@@ -209,7 +208,7 @@ class ResistingMoments(NamedTuple):
 def resisting_moments(
     rolling: RollingResistance, normal: Vector, load: Float[Array, "*m"], rate: Vector
 ) -> ResistingMoments:
-    """Moments (N m) against rolling and spinning at `rate` (rad/s) under the normal forces `load` (N)."""
+    """Return the moments (N m) against rolling and spinning at `rate` (rad/s) under the normal forces `load` (N)."""
     spin = rate.dot(normal)
     roll = rate - spin * normal
     size = jnp.sqrt(roll.dot(roll) + 1e-20)
@@ -226,7 +225,7 @@ def resisting_moments(
 
 
 class BodyContactRole(NamedTuple):
-    """Role of a root body in n contact points: which points it carries, and which points stand on it."""
+    """Role of the base or a free body in n contacts: which points it carries, and which points stand on it."""
 
     body: int
     sign: Float[Array, " n"] | None  # 1 carries, -1 is stood on, 0 neither; None: it carries all
@@ -237,36 +236,35 @@ class BodyContactRole(NamedTuple):
         return v if self.sign is None else self.sign * v
 
     def wrench_rows(self, m: Matrix) -> tuple[Matrix, Matrix]:
-        """Return rows of a matrix that map to force and torque on the body, from rows that map to forces on the
-        points."""
+        """Convert rows of a matrix for forces on contact points to rows for force and torque on the body."""
         m = m if self.sign is None else m.scale(self.sign)
         return m, m.transpose.times_cross_matrix(-self.points).transpose
 
     def twist_columns(self, m: Matrix) -> tuple[Matrix, Matrix]:
-        """Return blocks by which a matrix on point velocities acts on the body's linear and angular velocity."""
+        """Convert a matrix for velocities of contact points to matrices for the body's linear and angular velocity."""
         m = m if self.sign is None else m.scale(self.sign)
         return m, m.times_cross_matrix(-self.points)
 
 
 class ContactSet(NamedTuple):
-    """Contact points that share a contact law: the feet, or the sites of free bodies."""
+    """Contact points that follow one contact law: the feet, or the contact sites of free bodies."""
 
     geometry: ContactGeometry
     arms: tuple[BodyContactRole, ...]
     rolling: RollingResistance | None = None
 
     def velocity(self, root: Sequence[SpatialVector]) -> Vector:
-        """Return the velocities of the points relative to their surfaces (m/s), for given twists of the root bodies."""
+        """Return velocities of the points relative to their surfaces (m/s), from those of base and free bodies."""
         return reduce(
             add, [arm.apply_sign(root[arm.body].linear + root[arm.body].angular.cross(arm.points)) for arm in self.arms]
         )
 
     def relative_spin(self, root: Sequence[SpatialVector]) -> Vector:
-        """Angular velocity of the bodies with the points relative to the bodies under them (rad/s)."""
+        """Return angular velocities (rad/s) of bodies with contact points relative to the bodies they touch."""
         return reduce(add, [arm.apply_sign(root[arm.body].angular) for arm in self.arms])
 
     def root_wrenches(self, force: Vector, moment: Vector | None = None) -> list[tuple[int, SpatialVector]]:
-        """Return force and torque on the root bodies from forces and moments at the points."""
+        """Return force and torque on base and free bodies, from forces and moments at the contact points."""
         out = []
         for arm in self.arms:
             own = arm.apply_sign(force)
@@ -278,8 +276,7 @@ class ContactSet(NamedTuple):
 def body_contact_arms(
     points: Vector, body: Array, owner: Sequence[int], origins: Sequence[Vector]
 ) -> tuple[BodyContactRole, ...]:
-    """Return the contact roles of free bodies: the points that they carry (`owner`) and the points that stand on them
-    (`body`)."""
+    """Return for each free body which contact points it carries (`owner`), and which points stand on it (`body`)."""
     shares = [jnp.equal(np.array(owner), k) - (body == k).astype(points.x.dtype) for k in range(len(origins))]
     return tuple(
         BodyContactRole(k + 1, share, points - origin)
@@ -288,7 +285,7 @@ def body_contact_arms(
 
 
 class ContactStart(NamedTuple):
-    """Contacts of the feet, or of free bodies' sites, at the start of a step; world axes unless stated otherwise."""
+    """Contacts of the feet, or of free bodies, at the start of a step; world axes unless stated otherwise."""
 
     contacts: ContactSet
     surface: Surface
@@ -298,7 +295,7 @@ class ContactStart(NamedTuple):
     def next_anchors(
         self, law: Contact, forces: ContactForces, velocity: Vector, rotation: Matrix, frames: Frames, h: float
     ) -> Anchors:
-        """Contact anchors after the step, from forces and velocities in base axes."""
+        """Return the contact anchors (spring attachments) after the step, from forces and velocities in base axes."""
         world = forces._replace(tangential=rotation @ forces.tangential)
         return update_anchors(
             law, self.surface, self.points, frames, self.anchor_positions, world, rotation @ velocity, h
@@ -308,7 +305,7 @@ class ContactStart(NamedTuple):
 def find_contacts(
     case: Case, anchors: Sequence[Anchors], base: Vector, rotation: Matrix, feet: Vector, free: FreeBodies
 ) -> list[ContactStart]:
-    """Find the contacts at the start of a step: those of the feet, then those of free bodies' sites, if any.
+    """Find the contacts at the start of a step: those of the feet, then those of free bodies.
 
     Args:
         case: The world.

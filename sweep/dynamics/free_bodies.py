@@ -24,7 +24,7 @@ class FreeBodies(NamedTuple):
 
 
 def kinematics(pose: Pose, to_base: Matrix) -> FreeBodies:
-    """Compute positions and axes of the free bodies of a pose; `to_base` rotates from world to base axes."""
+    """Compute positions and axes of the free bodies in base axes; `to_base` rotates from world to base axes."""
     base, *free = pose.root
     frames = [(place.position, place.rotation()) for place in free]
     origins = [to_base @ (position - base.position) for position, _ in frames]
@@ -32,7 +32,7 @@ def kinematics(pose: Pose, to_base: Matrix) -> FreeBodies:
 
 
 def start_at_rest(case: Case) -> FreeState:
-    """Return the start state of free bodies at rest, sunk into the floor until contacts carry their weight."""
+    """Return the start state of free bodies at rest, sunk into the floor until contact forces carry their weight."""
     free, obstacle = free_start_state(case.obstacle), case.obstacle
     if not obstacle.lying:
         return free
@@ -54,7 +54,7 @@ def inertias(case: Case, axes: list[Matrix]) -> list[Inertia]:
 
 
 def bias_wrench(inertia: Inertia, motion: SpatialVector, up: Vector) -> SpatialVector:
-    """Return the force and torque that keep a body's acceleration zero, from Coriolis effects and gravity."""
+    """Return the force and torque that keep a body unaccelerated, against gravity and gyroscopic effects."""
     spin = motion.angular
     return SpatialVector((GRAVITY * inertia.mass) * up, spin.cross(inertia.inertia @ spin))
 
@@ -80,7 +80,7 @@ def contact_owners(case: Case) -> tuple[int, ...]:
 
 
 def external_wrenches(case: Case, pose: Pose, motion: Motion, bodies: FreeBodies) -> list[SpatialVector]:
-    """Wrenches on free bodies other than weight and contact (N, N m, world axes); empty if there are none."""
+    """Return forces (N) and torques (N m) on free bodies other than weight and contact, world axes; may be empty."""
     if not bodies.frames:
         return []
     turned = [own.rotate(rotation) for own, (_, rotation) in zip(motion.root[1:], bodies.frames, strict=True)]

@@ -22,7 +22,7 @@ from sweep.models.legs import JOINT_NAMES, LEGS, N_LEGS
 
 @dataclass(frozen=True)
 class ModelTopology:
-    """Compiled MuJoCo model and index tables, which stay constant while sizes and masses vary; made by `topology`.
+    """Compiled MuJoCo model and its index tables, which do not depend on varied sizes and masses; made by `topology`.
 
     Contact points are the six feet, then the obstacle's sites.
     """
@@ -48,7 +48,7 @@ SmoothDynamics = Callable[[Pose, Motion], RobotDynamicsTerms]  # of one world; m
 
 
 def topology(case: Case) -> ModelTopology:
-    """Compile the MuJoCo model of a case (plain numbers) and build the index tables of its blocks.
+    """Compile the MuJoCo model of a rollout's parameters (plain numbers), and build tables of its bodies and joints.
 
     Raises:
         InputError: The frame of a free body is not at its mass centre along its principal axes.

@@ -21,14 +21,14 @@ BASE_BODY_ID = 1  # body id
 
 
 def mjx_dynamics(top: ModelTopology) -> Callable[[Case], SmoothDynamics]:
-    """Build the smooth-dynamics function from MJX, for worlds of one topology."""
+    """Build a function that computes mass matrix, bias forces and foot Jacobians by MJX."""
     model = mjx.put_model(top.model, impl="jax")
     data = mjx.make_data(model, impl="jax")
     return lambda world: partial(smooth_dynamics, top, model.replace(**varying_fields(top, model, world)), data)
 
 
 def varying_fields(top: ModelTopology, model: mjx.Model, case: Case) -> dict[str, Array]:
-    """Return the MJX model fields that depend on the parameters of a case, by name; values may be traced."""
+    """Return the MJX model fields that depend on varied parameters, by name; values may be traced."""
     changed = {}
     for field, values in scene.batched_model_fields(case).items():
         table = top.ids_by_name[{"body": "body", "site": "site", "dof": "joint"}[field.split("_")[0]]]

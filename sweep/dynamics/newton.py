@@ -10,7 +10,7 @@ from sweep.dynamics.spatial import JointTriple, MassMatrix, Motion, SpatialVecto
 
 
 class LegElimination(NamedTuple):
-    """Elimination of the legs' equations: joint rates as a function of the motion of the root bodies.
+    """Joint rates of the legs, eliminated from the equations: functions of the motion of base and free bodies.
 
     Columns are the velocities that a leg feels: the base's, its rate of turning, and that of its foot over what it
     stands on by the motion of free bodies (where there are some).
@@ -31,7 +31,7 @@ def newton_direction(
     rolling: Matrix | None,
     right: Motion,
 ) -> Motion:
-    """Solve (M + stiffness of contacts, drives and rolling) x = right for the Newton direction x.
+    """Solve the linear system of a Newton iteration (mass plus stiffness of contacts, drives, rolling) for x.
 
     `slopes` are -h d force / d velocity of feet and sites, `rolling` is -h d moment / d rate of the sites; `stiff` is
     what drives add to the legs' diagonal.

@@ -24,7 +24,7 @@ def split_joints(values: Float[Array, "l 3"]) -> JointTriple:
 
 
 def map_joints(f: Callable[..., Array], *values: tuple[Any, Any, Any]) -> JointTriple:
-    """Apply `f` to alpha, beta and gamma of each argument in turn."""
+    """Apply `f` to the three joint values alpha, beta and gamma in turn, taking each from all arguments."""
     alpha, beta, gamma = (f(*parts) for parts in zip(*values, strict=True))
     return alpha, beta, gamma
 
@@ -36,7 +36,7 @@ class SpatialVector(NamedTuple):
     angular: Vector
 
     def dot(self, other: "SpatialVector") -> Array:
-        """Return the power: the scalar product of a motion and a force."""
+        """Return the power: the scalar product of a body's velocity and force."""
         return self.linear.dot(other.linear) + self.angular.dot(other.angular)
 
     def rotate(self, rotation: Matrix) -> "SpatialVector":
@@ -45,7 +45,7 @@ class SpatialVector(NamedTuple):
 
 
 class RootPose(NamedTuple):
-    """Position and orientation of a root body."""
+    """Position and orientation of a root body: the robot's base or a free body."""
 
     position: Vector  # (1,) m, of its origin, world axes
     quat: tuple[Array, Array, Array, Array]  # (1,) body to world
@@ -72,20 +72,20 @@ class RootPose(NamedTuple):
 
 
 class Pose(NamedTuple):
-    """Poses of all root bodies, and joint angles."""
+    """Poses of all root bodies (base and free bodies), and joint angles of the legs."""
 
     root: tuple[RootPose, ...]
     angle: JointTriple  # (l,) rad: alpha, beta, gamma
 
 
 class Motion(NamedTuple):
-    """Velocities of all root bodies and joints, or momenta or forces dual to them; the maker names the axes."""
+    """Velocities of base, free bodies and joints, or momenta or forces of that form; each use names the axes."""
 
     root: tuple[SpatialVector, ...]
     leg: JointTriple
 
     def dot(self, other: "Motion") -> Array:
-        """Return the power (1,): the scalar product of a motion and a force."""
+        """Return the power (1,): the scalar product of velocities and forces."""
         bodies = sum(a.dot(b) for a, b in zip(self.root, other.root, strict=True))
         return bodies + total(sum(a * b for a, b in zip(self.leg, other.leg, strict=True)))  # pyright: ignore
 
@@ -106,7 +106,7 @@ class Inertia(NamedTuple):
 
 
 class MassMatrix(NamedTuple):
-    """The mass matrix of robot and free bodies."""
+    """Mass matrix of the robot and the obstacle's free bodies, in blocks."""
 
     root: tuple[Inertia, ...]  # the robot's as if its joints were locked, then the free bodies'
     cross: tuple[SpatialVector, SpatialVector, SpatialVector]  # (l,) momentum of the leg per rate of a joint

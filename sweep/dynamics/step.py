@@ -56,7 +56,7 @@ CONVERGENCE_FACTOR = 100  # a step has converged if its error is below so many r
 
 
 class PhysicsState(NamedTuple):
-    """Physical state of a rollout: MuJoCo's qpos and qvel, and the contact anchors of feet and obstacle's sites."""
+    """Physical state of a rollout: MuJoCo's qpos and qvel, and the contact anchors (ends of tangential springs)."""
 
     q: Float[Array, " nq"]
     v: Float[Array, " nv"]
@@ -72,7 +72,7 @@ class ComponentState(NamedTuple):
 
 
 class StepStart(NamedTuple):
-    """Positions and energy at the start of a step, world axes; part of a `StepReport`."""
+    """Positions and mechanical energy at the start of a step, world axes; part of a `StepReport`."""
 
     normal: Vector  # (l,) of the surfaces under the feet
     energy: Array  # (1,) J
@@ -95,7 +95,7 @@ class StepReport(NamedTuple):
 
 
 class DriveLimits(NamedTuple):
-    """Execution faults in one step: gain and torque limit of each joint, and an external push."""
+    """Limits and faults in one step: gain and torque limit of each joint, and an external push on the base."""
 
     gain: Float[Array, "6 3"]  # 0 for a dead joint
     torque: Float[Array, "6 3"]  # N m
@@ -103,7 +103,7 @@ class DriveLimits(NamedTuple):
 
 
 def state_at_rest(top: ModelTopology, q: Float[Array, " nq"]) -> PhysicsState:
-    """Make a state at rest without contacts.
+    """Make a state with zero velocities and without contacts from positions `q` (MuJoCo's qpos).
 
     Args:
         top: The topology of the model.
@@ -119,7 +119,7 @@ def split_into_components(state: PhysicsState) -> ComponentState:
 
 
 def join_components(moving: ComponentState) -> PhysicsState:
-    """Join components into arrays in MuJoCo's order, the inverse of `split_into_components`."""
+    """Join components of a physics state into arrays in MuJoCo's order, the inverse of `split_into_components`."""
     return PhysicsState(*pack_state(moving.pose, moving.motion), moving.anchors)
 
 

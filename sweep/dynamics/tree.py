@@ -21,7 +21,7 @@ from sweep.models.robot import Robot, link_names
 
 
 class LegLink(NamedTuple):
-    """A link of a leg: a uniform rod."""
+    """A link of a leg as a uniform rod, with its mass and inertia."""
 
     mass: Number
     transverse_inertia: Number  # kg m^2, about its centre
@@ -39,12 +39,12 @@ class LegLink(NamedTuple):
 
 
 def tree_dynamics(world: Case) -> SmoothDynamics:
-    """Build the smooth-dynamics function of a world from the explicit equations."""
+    """Build a function that computes mass matrix, bias forces and foot Jacobians from explicit equations."""
     return partial(tree_terms, world.robot, world.drive.armature)
 
 
 def leg_links(robot: Robot, angle: JointTriple) -> tuple[Vector, list[LegLink]]:
-    """Return the unit vector of the beta and gamma axes, and the links of a leg from the hip outward."""
+    """Return the unit vectors of a leg's beta and gamma axes, and its links from the hip outward."""
     yaw, side = leg_mounts(robot).yaw.astype(angle[0].dtype), SIDE_BY_LEG.astype(angle[0].dtype)
     turn, lift, bend = yaw + angle[0], angle[1], angle[1] + angle[2]
     cos, sin = jnp.cos(turn), jnp.sin(turn)

@@ -73,7 +73,7 @@ def stabilise_delta(
 
 
 class LateralMotion(NamedTuple):
-    """Result of `lateral_mu`: the shape mu of the lateral motion at time tau."""
+    """Result of `lateral_mu`: the value at time tau of the pulse mu, which scales the body's sideways motion."""
 
     mu: Annotated[Float[Array, "..."], ""]
 
@@ -195,7 +195,7 @@ def ball_omega(
 
 
 class BallDescentRates(NamedTuple):
-    """Result of `ball_descent`: best rate of the robot, and what the ball gains by it (rad/s)."""
+    """Result of `ball_descent`: the robot's best rate of descent and the rate that the ball gains by it (rad/s)."""
 
     dphi_opt: Annotated[Float[Array, "..."], "rad/s"]
     gain: Annotated[Float[Array, "..."], "rad/s"]

@@ -42,8 +42,7 @@ def ball_approach(
 
 
 class BallImpact(NamedTuple):
-    """Result of `ball_impact`: the coefficient of restitution, and the rebound speed at which landing feet miss by
-    d."""
+    """Result of `ball_impact`: coefficient of restitution, and rebound speed (m/s) at which landing feet miss by d."""
 
     e: Annotated[Float[Array, "..."], ""]
     v: Annotated[Float[Array, "..."], "m/s"]

@@ -21,7 +21,7 @@ Friction = Annotated[Scalar, positive_input("", 1.1)]
 
 
 class BalancedCornerForces(NamedTuple):
-    """Result of `corner_balanced`: k_zeta, equal for all feet, and k_tau, opposite for upper and lower feet."""
+    """Result of `corner_balanced`: force coefficients k_zeta, k_tau, and normal forces of upper and lower feet (P)."""
 
     k_zeta: Annotated[Float[Array, "..."], ""]
     k_tau: Annotated[Float[Array, "..."], ""]
@@ -75,7 +75,7 @@ def corner_least_friction(
 
 
 class EqualNormalForces(NamedTuple):
-    """Result of `corner_equalN`: equal normal forces N; only the upper feet use all friction."""
+    """Result of `corner_equalN`: force coefficients, and the normal force N of all feet in units of P."""
 
     k_zeta: Annotated[Float[Array, "..."], ""]
     k_tau_u: Annotated[Float[Array, "..."], ""]
@@ -99,7 +99,7 @@ def corner_equalN(psi: CornerHalfAngle, eps: FootOffset, k: Friction) -> EqualNo
 
 
 class LeastSqueeze(NamedTuple):
-    """Result of `corner_min_squeeze`: the larger normal force of the best distribution, in units of P."""
+    """Result of `corner_min_squeeze`: larger normal force of the best force distribution, in units of the load P."""
 
     Nhat: Annotated[Float[Array, "..."], "P"]
 

@@ -19,7 +19,7 @@ _NODES, _WEIGHTS = (tuple(map(float, row)) for row in np.polynomial.legendre.leg
 
 
 class DragIntegrals(NamedTuple):
-    """Result of `drag_integrals`: integrals over the rectangle of |u|u, x|u|u and y|u|u."""
+    """Result of `drag_integrals`: integrals over the rectangle of |u|u, x|u|u and y|u|u, u linear in x and y."""
 
     I: Annotated[Float[Array, "..."], ""]  # noqa: E741 - the book's name
     Ix: Annotated[Float[Array, "..."], ""]

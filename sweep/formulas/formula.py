@@ -88,7 +88,7 @@ def positive_input(unit: str, default: float, below: float = math.inf) -> Input:
 
 @dataclass(frozen=True)
 class Formula:
-    """A formula with its metadata; the decorator `formula` makes one for each decorated function."""
+    """A formula with its source, inputs and outputs; the decorator `formula` makes it from a function."""
 
     function: Callable[..., Any]
     source: str  # "monograph" or "thesis"
@@ -117,7 +117,7 @@ class Formula:
 
     @cached_property
     def inputs(self) -> tuple[Input, ...]:
-        """Inputs with flat names: field `a` of a named tuple `prm` is `prm.a`, or `a` if `prm` is the only argument."""
+        """Inputs of the formula by name: field `a` of argument `prm` is `prm.a`, or `a` if `prm` is the only one."""
         result = []
         for name, hint in self._arguments.items():
             parts = {name: hint} if _metadata(hint) else get_type_hints(hint, include_extras=True)
@@ -127,7 +127,7 @@ class Formula:
 
     @cached_property
     def outputs(self) -> Mapping[str, str]:
-        """Units of the results by name."""
+        """Units of the formula's results, by name of the result."""
         results = get_type_hints(self._annotations["return"], include_extras=True)
         return {name: _metadata(hint)[0] for name, hint in results.items()}
 
@@ -151,7 +151,7 @@ class Formula:
         return jax.jit(self.function, static_argnames=[entry.name for entry in self.inputs if entry.options])
 
     def implements_equation(self, equation: str) -> bool:
-        """Whether the formula implements equation `equation` of its source."""
+        """Return whether the formula implements the equation with number `equation` of its source."""
         number = _order(equation)
         for equations in self.equations:
             first, _, last = equations.partition("-")
@@ -168,8 +168,7 @@ class Formula:
         return {entry.name: entry.validate(flat.get(entry.name, entry.default), self.name) for entry in self.inputs}
 
     def evaluate(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Evaluate the formula in double precision, whatever JAX's default, to numbers and lists. Raises
-        `InputError`."""
+        """Evaluate the formula in double precision, and return plain numbers and lists. Raises `InputError`."""
         with jax.enable_x64(True):
             outputs = self.compute(values)
         if not all(np.all(np.isfinite(value)) for value in outputs.values()):

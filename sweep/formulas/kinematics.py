@@ -64,7 +64,7 @@ def leg_ik(
 
 
 class HipPositions(NamedTuple):
-    """Result of `mounts`: hips of legs 1 to 6, base axes."""
+    """Result of `mounts`: positions of the hips of legs 1 to 6, in base axes."""
 
     points: Annotated[Float[Array, "6 3"], "m"]
 
@@ -101,7 +101,7 @@ def step_cycle(
 
 
 class TransferProgress(NamedTuple):
-    """Result of `lambda1`: share of the swing's path that is covered, and its rate."""
+    """Result of `lambda1`: share of a swing's path that the foot has covered, and the rate of that share (1/s)."""
 
     lam: Annotated[Float[Array, "..."], ""]
     dlam: Annotated[Float[Array, "..."], "1/s"]

@@ -10,8 +10,7 @@ from sweep.formulas.formula import Scalar, formula, positive_input
 
 
 class LadderStatics(NamedTuple):
-    """Result of `ladder`: highest position of the load as a share of the ladder's length, and whether that is the
-    top."""
+    """Result of `ladder`: highest position of a load, over the ladder's length, and whether that is the top."""
 
     chi_max: Annotated[Float[Array, "..."], ""]
     holds_for_all: Annotated[Bool[Array, "..."], ""]

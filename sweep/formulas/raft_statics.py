@@ -105,7 +105,7 @@ def hydro_thick(
 
 
 class RaftEquilibrium(NamedTuple):
-    """Result of `raft_equilibrium`: the vertical in body axes, and the depth of the centre (m)."""
+    """Result of `raft_equilibrium`: the upward vertical in axes of the tilted raft, and the depth of its centre (m)."""
 
     a31: Annotated[Float[Array, "..."], ""]
     a32: Annotated[Float[Array, "..."], ""]

@@ -39,7 +39,7 @@ def swing_cycle_b(u: Float[Array, "*b"]) -> tuple[Float[Array, "*b"], Float[Arra
 def step_cycle(
     kind: str, t: Array | float, t_star: Array | float, d_x: Array | float, d_y: Array | float, k_prime: Array | float
 ) -> Float[Array, "*b 2"]:
-    """Foot in a step cycle, swing and stance: monograph (1.3.1), and (1.3.2) on the ground from t*.
+    """Foot position in a step cycle of swing and stance: monograph (1.3.1), and (1.3.2) for the stance, from time t*.
 
     Args:
         kind: "a", the arc of an ellipse, or "b", half an ellipse.

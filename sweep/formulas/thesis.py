@@ -23,7 +23,7 @@ Shin = Annotated[Scalar, positive_input("", 2.0)]
 
 
 class ThesisFootKinematics(NamedTuple):
-    """Result of `thesis_fk`: the foot, its derivatives by (phi, psi, gam), and their determinant."""
+    """Result of `thesis_fk`: foot position, its Jacobian by the angles (phi, psi, gam), and the determinant."""
 
     foot: Annotated[Float[Array, "... 3"], "length"]
     J: Annotated[Float[Array, "... 3 3"], "length/rad"]
@@ -113,7 +113,7 @@ def thesis_ik_euler(
 
 
 class Workspace(NamedTuple):
-    """Result of `thesis_workspace`: inner and outer radius from the mount, and half angle of the sector (rad)."""
+    """Result of `thesis_workspace`: inner and outer radius from the leg's mount, and half angle of the sector (rad)."""
 
     OA: Annotated[Float[Array, "..."], "length"]
     OB: Annotated[Float[Array, "..."], "length"]

@@ -41,8 +41,7 @@ Array = Any  # NumPy array of nodes
 
 @dataclass(frozen=True, eq=False)
 class RowUpdate:
-    """An array in memory of which one row is replaced; written back, the update is a single store at a computed
-    address."""
+    """An array in memory of which one row is replaced; writing it back stores only that row, at a computed address."""
 
     array: Array  # (rows, ...), unchanged in memory
     row: Node  # index of the row, within the array and the same for all rollouts
@@ -54,13 +53,13 @@ class UnsupportedPrimitive(Exception):
 
 
 class ArrayBuilder:
-    """Writes array operations into a `Program` as operations on single numbers."""
+    """Writes operations on arrays into a `Program`, whose operations act on single numbers."""
 
     def __init__(self, program: Program):
         self.program, self.group = program, program.group
 
     def constant(self, value: Any) -> Array:
-        """Make a constant array of known numbers."""
+        """Make an array of constant nodes from known numbers."""
         value = np.asarray(value)
         return build_array(value.shape, lambda at: self.program.const(value[at], value.dtype.name))
 
@@ -76,7 +75,7 @@ class ArrayBuilder:
         return self.program.node(name, args, dtype)
 
     def map_elements(self, name: str, args: Sequence[Array], dtype: str) -> Array:
-        """Apply an operation to arrays element by element, once for all legs along an axis of legs.
+        """Apply an operation to arrays element by element; along an axis of all legs, one operation stands for all.
 
         Args:
             name: operation, by JAX's name.
@@ -140,7 +139,7 @@ class ArrayBuilder:
         return total
 
     def select_by_index(self, index: Array, cases: Sequence[Array]) -> Array:
-        """Select between arrays element by element: the element of the array whose number is `index`.
+        """For each element, choose the array with number `index` and return the element from it, as `lax.select_n`.
 
         Args:
             index: array of indices.
@@ -158,7 +157,7 @@ class ArrayBuilder:
     # the legs
 
     def leg_values(self, node: Node) -> list[Node]:
-        """Split a node that stands for all legs into a node for each leg."""
+        """Split a node that holds one value for each leg into separate nodes, one for each leg."""
         if not node.leg:
             return [node] * self.group
         if node.op == "const":
@@ -214,16 +213,16 @@ class ArrayBuilder:
     # memory
 
     def load(self, region: MemoryRegion, index: int, depth: int) -> Node:
-        """Load element `index` of a memory region, for a block nested in `depth` loops."""
+        """Load element `index` of a memory region (an array in memory), for a block nested in `depth` loops."""
         return self.program.node("load", (), region.dtype, Address(region, index, depth, 0), leg=False)
 
     def load_array(self, region: Any, shape: tuple, depth: int) -> Array:
-        """Load an array of `shape` from a memory region, for a block that is nested in `depth` loops."""
+        """Load an array of `shape` from a region of memory, for code that is nested in `depth` loops."""
         at = np.arange(math.prod(shape)).reshape(shape)
         return build_array(shape, lambda i: self.load(region, int(at[i]), depth))
 
     def save(self, region: MemoryRegion | None, x: Array | RowUpdate, items: list[Any]) -> None:
-        """Store an array to a memory region, except numbers that are already there.
+        """Store an array to a region of memory; skip numbers that the memory already holds.
 
         Args:
             region: the memory; None to store nothing.
@@ -332,7 +331,7 @@ class ArrayBuilder:
         return result
 
     def write_window(self, x: Array, update: Array, starts: dict[int, Node], combine: str | None) -> None:
-        """Write `update` into `x` in place, as `lax.scatter` does; nothing happens where it would not fit.
+        """Write `update` into `x` in place, as `lax.scatter` does; a window that does not fit into `x` is ignored.
 
         Args:
             x: array of nodes.
@@ -366,7 +365,7 @@ class ArrayBuilder:
 
 
 def build_array(shape: tuple, element: Callable[[tuple], Any]) -> Array:
-    """Make an array of nodes by calling `element` at each index."""
+    """Make an array of program nodes by calling `element` with each index."""
     out = np.empty(shape, object)
     for i in np.ndindex(shape):
         out[i] = element(i)

@@ -27,7 +27,7 @@ def reinterpret_bits(dtype: np.dtype, x: BatchArray) -> BatchArray:
 
 
 def power(exponent: int, x: BatchArray) -> BatchArray:
-    """Integer power by repeated squaring."""
+    """Raise `x` to an integer power by repeated squaring."""
     result, square = None, x
     for bit in bin(abs(exponent))[:1:-1]:
         if bit == "1":
@@ -71,7 +71,7 @@ def clamp(low: BatchArray, x: BatchArray, high: BatchArray) -> BatchArray:
 
 
 def polynomial(x: BatchArray, *coefficients: BatchArray) -> BatchArray:
-    """Polynomial by Horner's rule; the coefficients begin with the constant."""
+    """Evaluate a polynomial by Horner's rule; the list of coefficients begins with the constant."""
     total = np.broadcast_to(coefficients[-1], np.broadcast_shapes(x.shape, coefficients[-1].shape))
     for c in reversed(coefficients[:-1]):
         total = total * x + c
@@ -79,7 +79,7 @@ def polynomial(x: BatchArray, *coefficients: BatchArray) -> BatchArray:
 
 
 def select(index: BatchArray, *cases: BatchArray) -> BatchArray:
-    """Select element by element between arrays: the element of the array whose number is `index`."""
+    """For each element, choose the array with number `index` and return the element from it."""
     if len(cases) == 2:
         return np.where(index, cases[1], cases[0])
     result = cases[-1]
@@ -167,7 +167,7 @@ def _broadcast_widths(parts: Sequence[BatchArray]) -> list[BatchArray]:
 
 
 def sum_terms(add: np.ufunc, axes: tuple[int, ...], x: BatchArray) -> BatchArray:
-    """Reduce along axes term by term, in a fixed order."""
+    """Reduce an array along axes term by term, in a fixed order, so that rounding is reproducible."""
     kept = [d for d in range(x.ndim) if d not in axes]
     total, *others = x.transpose(*axes, *kept).reshape(-1, *[x.shape[d] for d in kept])
     for k, term in enumerate(others):
@@ -189,7 +189,7 @@ def iota(shape: tuple[int, ...], axis: int, dtype: np.dtype) -> BatchArray:
 
 
 def full(value: Any, dtype: np.dtype) -> BatchArray:
-    """Make a constant that is the same for all rollouts."""
+    """Make an array with the constant `value`, shared by all rollouts of a batch."""
     return np.full(1, value, dtype)
 
 
@@ -211,7 +211,7 @@ def accumulate(add: np.ufunc, axis: int, reverse: bool, x: BatchArray) -> BatchA
 
 
 class DotDimensions(NamedTuple):
-    """Static parameters of a dot product: orders of axes, and numbers of contracted, batch and free axes."""
+    """Static parameters of a dot product: orders of axes, and how many axes are contracted, batched and free."""
 
     left: tuple[int, ...]
     right: tuple[int, ...]
@@ -250,7 +250,7 @@ def _products(a: BatchArray, b: BatchArray, result: BatchArray) -> None:
 
 
 def cholesky(x: BatchArray) -> BatchArray:
-    """Return the lower Cholesky factors of matrices, in the last two axes before the batch."""
+    """Return the lower Cholesky factors of matrices, which lie in the two axes before the batch axis."""
     rest, result = x.copy(), np.zeros_like(x)
     for k in range(x.shape[-2]):
         column = rest[..., k:, k, :] / np.sqrt(rest[..., k, k, :])[..., None, :]
@@ -270,7 +270,7 @@ class TriangularSystem(NamedTuple):
 
 
 def solve_triangular(how: TriangularSystem, a: BatchArray, b: BatchArray) -> BatchArray:
-    """Solve a triangular system by substitution."""
+    """Solve a triangular system of linear equations by substitution."""
     if how.transposed == how.left:
         a = a.swapaxes(-3, -2)
     if not how.left:

@@ -44,7 +44,7 @@ ZERO, HALF, ONE = "0.0", "0.5", "1.0"
 
 
 class StoredValue(NamedTuple):
-    """Location in a rollout's state of a value that one part of a kernel computes for later parts."""
+    """Location in a rollout's memory of a value that one part of a GPU kernel computes for later parts."""
 
     word: int
     words_per_leg: int  # words from leg to leg
@@ -473,7 +473,7 @@ class GpuPrinter(LlvmFunctionPrinter):
     # values
 
     def value_name(self, node: Node) -> str:
-        """Return the LLVM name of a node's value, for this lane's leg if the node stands for all legs."""
+        """Return the LLVM name of a node's value; for a value per leg, that of the leg which the thread computes."""
         if node.op == "const" and not node.leg:
             return self.literal(constant_value(node))
         if node.op == "handed_on":
@@ -628,7 +628,7 @@ class GpuPrinter(LlvmFunctionPrinter):
 
 
 def rollouts_per_warp(group: int) -> int:
-    """Number of rollouts in a warp whose lanes are legs; spare lanes repeat the work of others.
+    """Return how many rollouts a GPU warp simulates if each thread computes one leg; spare threads repeat other work.
 
     Raises:
         Unsupported: The number of legs is odd, or too large for a warp.
@@ -640,7 +640,7 @@ def rollouts_per_warp(group: int) -> int:
 
 @contextmanager
 def ptx_compiler() -> Iterator[Callable[[str], str]]:
-    """Context that yields a function from LLVM assembly to PTX, run in a subprocess that starts in the background.
+    """Context that starts a background process and yields a function that compiles LLVM assembly to PTX in it.
 
     Raises:
         Unsupported: LLVM cannot compile the module.

@@ -35,7 +35,7 @@ def find_unread_columns(
     sides: Callable[[Mapping[str, Any]], tuple[Any, Any]],
     ends: Mapping[str, tuple[float, float]],
 ) -> set[str]:
-    """Find parameters on which no result of a rollout's program depends.
+    """Find the parameters, by column, that cannot change any result of a rollout's program.
 
     Args:
         outputs: from world, belief and a random key to all that metrics are made of.

@@ -186,19 +186,19 @@ def driver_version() -> int:
 
 
 def start_ptx_translation(text: str) -> str:
-    """Start to translate PTX in a thread. Returns the kernel's key."""
+    """Start to translate PTX to machine code in a thread, and return the key of the kernel."""
     if (name := kernel_key(text)) not in _machine_code:
         _machine_code[name] = _pool.submit(_translate, text)
     return name
 
 
 def wait_for_kernel(name: str) -> GpuKernel:
-    """Wait for the translation of a kernel. Raises `UnsupportedPrimitive` with the driver's message if it failed."""
+    """Wait until a kernel is translated from PTX. Raises `UnsupportedPrimitive` with the driver's message on error."""
     return GpuKernel(name, _machine_code[name].result())
 
 
 def add_kernel(kernel: GpuKernel) -> None:
-    """Make a kernel that was loaded from the cache available for calls."""
+    """Register a kernel that was loaded from the cache, so that programs can call it."""
     _machine_code[kernel.key] = done = Future()
     done.set_result(kernel.code)
 

@@ -126,7 +126,7 @@ def trace(function: Callable[..., Any], *shapes: Any, external: Collection[str] 
 
 
 def evaluate_constants(function: Callable[[], Any], external: Mapping[str, Callable[..., Any]] | None = None) -> Any:
-    """Evaluate a function of plain numbers, even while another one is traced. XLA does it if a primitive has no rule.
+    """Evaluate a function of constants with NumPy, even during a JAX trace; XLA does it if a primitive has no rule.
 
     Args:
         function: function without arguments.
@@ -159,7 +159,7 @@ class OperationListWriter:
         return self._size - 1
 
     def constant_value(self, value: BatchArray) -> int:
-        """Return the number of a value that is a constant of the program."""
+        """Add a constant to the program, and return the number of its value."""
         value = np.ascontiguousarray(value)
         what = value.dtype.str, value.shape, value.tobytes()
         if what not in self._constants:
@@ -192,7 +192,7 @@ class OperationListWriter:
         return [read(atom) for atom in jaxpr.outvars]
 
     def select_operations(self, inputs: tuple[int, ...], outputs: Sequence[int]) -> OperationList:
-        """Return the program that computes `outputs` from `inputs`, without unused operations."""
+        """Return the program that computes the values `outputs` from `inputs`, without needless operations."""
         wanted, kept = set(outputs), []
         for rule, reads, writes in reversed(self._steps):
             if wanted.intersection(writes):
@@ -203,7 +203,7 @@ class OperationListWriter:
         return OperationList(self._size, known, inputs, kept[::-1], tuple(outputs))
 
     def emit(self, rule: Any, reads: Sequence[int], count: int = 1) -> tuple[int, ...]:
-        """Add an operation, and return the numbers of its `count` results."""
+        """Add an operation on the values numbered `reads`, and return the numbers of its `count` results."""
         reads = tuple(reads)
         if not isinstance(rule, str) and all(k in self.known for k in reads):
             made = rule(*[self.known[k] for k in reads])
@@ -351,7 +351,7 @@ def run_while(how: WhileParameters, *args: BatchArray) -> list[BatchArray]:
 
 
 def run_switch(branches: Sequence[OperationList], index: Any, *args: BatchArray) -> list[BatchArray]:
-    """Run the branch that `index` names, separately for each rollout if they differ."""
+    """Run the branch whose number is `index`, as `lax.switch`; if rollouts differ, run all and select for each."""
     index = index.astype(int)
     if len(index) == 1:
         return branches[min(max(int(index[0]), 0), len(branches) - 1)].execute(args, {})

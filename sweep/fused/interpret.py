@@ -87,7 +87,7 @@ class Interpreter(ArrayBuilder):
         raise UnsupportedPrimitive(name)
 
     def trace_expansion(self, function: Callable, args: Sequence[Array], dtypes: Sequence[Any]) -> Array:
-        """Add an operation as its expansion `function`, written in other primitives.
+        """Add an operation to the program by tracing `function`, which writes it in other JAX primitives.
 
         Args:
             function: function of JAX arrays.

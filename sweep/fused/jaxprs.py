@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 
 class ScanOperands[T](NamedTuple):
-    """Operands of a scan by their role."""
+    """Operands of `lax.scan`, separated into constants, carry and scanned inputs."""
 
     consts: Sequence[T]  # the same at every step
     carry: Sequence[T]  # changed by every step
@@ -34,7 +34,7 @@ def count_carry_results(eqn: Any) -> int:
 
 
 def inner_jaxpr(program: Any) -> Any:
-    """Return a jaxpr without the values of its constants."""
+    """Return the jaxpr of a closed jaxpr, without the values of its constants."""
     return getattr(program, "jaxpr", program)
 
 

@@ -36,8 +36,7 @@ TickFunction = Callable[
 
 
 def choose_lanes(width: int, cores: int) -> int:
-    """Return the number of vector lanes for a batch; fewer lanes if each core gets only one tile. Results do not depend
-    on it.
+    """Return how many rollouts a vector of the kernel holds: fewer for small batches. Results do not depend on it.
 
     Args:
         width: number of rollouts.
@@ -49,7 +48,7 @@ def choose_lanes(width: int, cores: int) -> int:
 def print_program(
     function: TickFunction, inputs: Any, carry: Any, group: int = LEG_COUNT, lanes: int = llvm.TILE_LANES
 ) -> tuple[TracedProgram, llvm.CpuPrinter]:
-    """Trace a tick function and print it as LLVM assembly.
+    """Trace the function of one control tick and print it as LLVM assembly for a CPU.
 
     Args:
         function: tick of one rollout, `(inputs, carry, number) -> (carry, record)`.
@@ -69,7 +68,7 @@ def print_program(
 def compile_function(
     function: TickFunction, inputs: Any, carry: Any, group: int = LEG_COUNT, lanes: int = llvm.TILE_LANES
 ) -> KernelCode:
-    """Compile a tick function for this CPU.
+    """Compile the function of one control tick to machine code for this CPU.
 
     Args:
         function: tick of one rollout, `(inputs, carry, number) -> (carry, record)`.
@@ -84,7 +83,7 @@ def compile_function(
 def start_compilation(
     function: TickFunction, inputs: Any, carry: Any, group: int = LEG_COUNT, lanes: int = llvm.TILE_LANES
 ) -> Callable[[], KernelCode]:
-    """Print a tick function as LLVM assembly, and return a function that compiles it, which can run in a thread.
+    """Print the function of a control tick as LLVM assembly; return a function that compiles it, for use in a thread.
 
     Args:
         function: tick of one rollout, `(inputs, carry, number) -> (carry, record)`.
@@ -129,7 +128,7 @@ class Kernel:
         self.run = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 3, *[ctypes.c_int64] * 3)(address)
 
     def load_batch(self, inputs: Any, carry: Any, width: int) -> "Tiles":
-        """Write a batch to the kernel's memory.
+        """Write inputs and start state of a batch to memory in the kernel's layout, and return that memory.
 
         Args:
             inputs: tree of inputs; leaves with one more axis than the kernel's differ among rollouts.
@@ -143,7 +142,7 @@ class Kernel:
 
 
 class Tiles:
-    """A batch in a CPU kernel's memory; the argument `select` of its methods picks arrays from the carried state."""
+    """A batch in a CPU kernel's memory, with methods that read, replace and advance the rollouts' state."""
 
     def __init__(self, kernel: Kernel, width: int):
         self.code, self.width, lanes = kernel.code, width, kernel.code.lanes
@@ -155,7 +154,7 @@ class Tiles:
         self._scratch = [_allocate_aligned(1, self.code.scratch_bytes) for _ in rooms]
 
     def write(self, leaves: Sequence[ArrayLayout], tree: Any) -> None:
-        """Write the values of a batch, or one value for all rollouts, to the kernel's memory."""
+        """Write arrays of a batch, or values shared by all rollouts, to the given places of the kernel's memory."""
         lanes = self.code.lanes
         for leaf, given in zip(leaves, jax.tree.leaves(keys_to_words(tree)), strict=True):
             values, whole = np.asarray(given), _view(self.memory, leaf, lanes)
@@ -169,11 +168,11 @@ class Tiles:
                 whole[full, :, :rest], whole[full, :, rest:] = rows[-rest:].T, rows[-1][:, None]
 
     def replace(self, select: Callable[[Any], Any], tree: Any) -> None:
-        """Replace the values that `select` picks from the carried state by those of `tree`."""
+        """Overwrite part of the rollouts' state: the arrays that `select` picks from it become those of `tree`."""
         self.write([self.code.carry_leaves[place] for place in jax.tree.leaves(select(self._places))], tree)
 
     def advance(self, first: int, ticks: int, slots: np.ndarray | None = None) -> dict[str, np.ndarray] | None:
-        """Run control ticks on all rollouts of the batch.
+        """Run control ticks on all rollouts of the batch; record the columns of the rollouts `slots`.
 
         Args:
             first: number of the first tick.
@@ -206,12 +205,12 @@ class Tiles:
         return {name: np.stack([of[k // lanes][:, k % lanes] for k in slots], axis=1) for name, of in rows.items()}
 
     def read_all(self) -> Any:
-        """Return the carried state of all rollouts, (width, ...) for each leaf."""
+        """Return the state of all rollouts after the last tick, an array (width, ...) for each leaf."""
         rows = self.read(lambda carry: carry)
         return jax.tree.map(lambda x, key: jax.random.wrap_key_data(x) if key else x, rows, self.code.random_key_tree)
 
     def read(self, select: Callable[[Any], Any]) -> Any:
-        """Return the values that `select` picks from the carried state, (width, ...) each."""
+        """Return the arrays (width, ...) that `select` picks from the state of the rollouts."""
 
         def rows(place: int) -> np.ndarray:
             leaf, lanes = self.code.carry_leaves[place], self.code.lanes

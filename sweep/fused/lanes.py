@@ -30,7 +30,7 @@ LegRows = dict[MemoryPlace, tuple[int, int, int]]  # see `find_leg_rows`
 
 
 class KernelPart(NamedTuple):
-    """A part of a block in a GPU kernel: operations in order, then stores."""
+    """A section of a GPU kernel: operations in order, then stores to memory."""
 
     items: list[Any]
     stores: list[Store]
@@ -73,7 +73,7 @@ def _order_nodes(nodes: dict[int, Node]) -> Iterator[Node]:
 
 
 def find_leg_rows(top: Block, needed: set[int], group: int) -> tuple[LegRows, list[MemoryRegion]]:
-    """Find values in inner memory that are always read and written together for all six legs.
+    """Find values in a kernel's temporary memory that are always read and written together for all six legs.
 
     Args:
         top: outermost block.
@@ -113,7 +113,7 @@ def find_leg_rows(top: Block, needed: set[int], group: int) -> tuple[LegRows, li
 def split_into_parts(
     block: Block, needed: set[int], last: MemoryRegion | None, group: int, small_batch: bool, rows: LegRows
 ) -> list[KernelPart]:
-    """Split a block into parts: its loops, and what lies between them.
+    """Split the body of a GPU kernel into sections: its loops, and the code between them.
 
     A loop has the legs in lanes of a warp. What lies between loops has a thread for each rollout, unless `small_batch`.
     A result is stored as soon as it is known and nothing needs the old value.
@@ -277,7 +277,7 @@ def iterate_nested_items(item: Any) -> Iterator[Any]:
 
 
 def operands_of_part(part: KernelPart, needed: set[int]) -> Iterator[Node]:
-    """Return the operands of all items of a part, including inner blocks, without the indices of branches.
+    """Yield the operands of all operations in a section of a GPU kernel, inner blocks included, branch indices not.
 
     Args:
         part: the part.
@@ -301,8 +301,7 @@ def _places(node: Node, group: int) -> list[Any]:
 
 
 class ThreadPart:
-    """A part of a GPU kernel in which each thread has a rollout; operations for all legs become one operation per
-    leg."""
+    """A section of a GPU kernel in which each thread simulates a whole rollout, with one operation for each leg."""
 
     def __init__(self, part: KernelPart, needed: set[int], group: int):
         self.group = group
@@ -339,7 +338,7 @@ class ThreadPart:
         return early
 
     def values_by_leg(self, node: Node) -> list[Node]:
-        """Return the nodes that replace a node in the part: one for each leg, or a single one."""
+        """Return the nodes that replace a node in this section: one for each leg, or a single node for all legs."""
         if node.number not in self.made:
             if not node.leg:
                 return [node]

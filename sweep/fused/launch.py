@@ -49,7 +49,7 @@ def compile_to_ptx(
     group: int = LEG_COUNT,
     small_batch: bool = False,
 ) -> PtxKernel:
-    """Compile a tick function for an NVIDIA GPU.
+    """Compile the function of a control tick to PTX, the assembly of NVIDIA GPUs.
 
     Args:
         function: tick of one rollout, `(inputs, carry, number) -> (carry, record)`.
@@ -91,7 +91,7 @@ def print_program(
     group: int = LEG_COUNT,
     small_batch: bool = False,
 ) -> tuple[TracedProgram, cuda.GpuPrinter]:
-    """Trace a tick function and print it as LLVM assembly for a GPU.
+    """Trace the function of a control tick and print it as LLVM assembly for a GPU.
 
     Args:
         function: tick of one rollout.
@@ -125,7 +125,7 @@ def print_program(
 def run_kernel(
     code: PtxKernel, inputs: Any, carry: Any, first: Array, slots: Int[Array, " room"] | None
 ) -> tuple[Any, Any]:
-    """Run a GPU kernel over a batch, within a function that XLA compiles.
+    """Run a GPU kernel over a batch for some control ticks, from within a function that XLA compiles.
 
     Args:
         code: the kernel.
@@ -162,7 +162,7 @@ def run_kernel(
 
 
 def call_kernel(code: PtxKernel, operands: Sequence[Array]) -> Sequence[Array]:
-    """Call a GPU kernel from XLA; return the operands that it changes, the state and any records."""
+    """Call a GPU kernel from XLA; return the rollouts' state and any recorded columns, which the kernel changes."""
     changed = [2] if len(operands) == 3 else [2, 4]
     return driver.call_kernel(driver.start_ptx_translation(code.text), 32 * cuda.MAX_WARPS_PER_BLOCK, operands, changed)
 

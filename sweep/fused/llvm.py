@@ -37,7 +37,7 @@ REDUCTION_STARTS = {
 
 
 def row_bytes(dtype: str, lanes: int) -> int:
-    """Return the size in bytes of one number in all vector lanes."""
+    """Return the size in bytes of a vector that holds a number for each of several rollouts (lanes)."""
     return lanes * np.dtype(dtype).itemsize
 
 
@@ -167,17 +167,17 @@ class CpuPrinter(LlvmFunctionPrinter):
         self.start_block(f"{name}_x")
 
     def slot_offset(self, node: Node) -> int:
-        """Return the offset (bytes) in scratch memory of a node's values for the legs."""
+        """Return where a node's values for the legs lie in scratch memory: the offset (bytes) of the first."""
         return self.slots.by_node[node.number] * self.group * self.row
 
     # memory
 
     def number_bytes(self, dtype: str) -> int:
-        """Return the size in bytes of one number in all vector lanes."""
+        """Return the size in bytes of a vector that holds a number for each of several rollouts (lanes)."""
         return row_bytes(dtype, self.lanes)
 
     def region_pointer(self, region: MemoryRegion) -> tuple[str, int]:
-        """Return the LLVM pointer to a region's memory, and the region's offset in bytes."""
+        """Return the LLVM pointer to the memory that holds an array, and the array's offset in bytes from it."""
         if region in self.places:
             return "%scratch", self.places[region]
         return "%rollouts", region.byte_offset
@@ -307,7 +307,7 @@ class CpuPrinter(LlvmFunctionPrinter):
 
 
 class LegLoopValues:
-    """Names of LLVM values inside a loop over the legs."""
+    """Looks up names of LLVM values inside a printed loop over the legs."""
 
     def __init__(self, printer: CpuPrinter, count: str):
         self.printer, self.count = printer, count
@@ -315,7 +315,7 @@ class LegLoopValues:
         self.steps: dict[int, str] = {}
 
     def leg_offset(self, step: int, start: int) -> str:
-        """Return the offset (bytes) of the current leg's number."""
+        """Return the offset (bytes) in memory of the current leg's number in a loop over the legs."""
         if step not in self.steps:
             self.steps[step] = self.printer.emit(f"mul i64 {self.count}, {step}")
         return self.printer.emit(f"add i64 {self.steps[step]}, {start}")

@@ -50,7 +50,7 @@ def fold_constants(name: str, dtype: str, values: Sequence[Any]) -> Any:
 
 
 def simplify(name: str, args: Sequence[Node]) -> Node | None:
-    """Return the operand that an operation's result equals bit for bit (except the sign of zero); None if there is
+    """Return an operand that equals the operation's result bit for bit (except the sign of zero); None if there is
     none.
 
     Args:

@@ -20,7 +20,7 @@ class ConstantBits(NamedTuple):
 
 
 class Address(NamedTuple):
-    """Extra data of `load` and `gather` nodes: location in memory of a number, or of the numbers of all legs."""
+    """Extra data of `load` and `gather` nodes: where a number, or the numbers of all legs, lie in memory."""
 
     region: "MemoryRegion"
     first_index: int  # index of the (first leg's) number; `gather` adds its operand
@@ -39,13 +39,13 @@ class LoopCount(NamedTuple):
 
 
 class LegIndex(NamedTuple):
-    """Extra data of `part` nodes: the leg whose number is taken."""
+    """Extra data of `part` nodes, which take one leg's number from the numbers of all legs: the leg."""
 
     leg: int
 
 
 class LegReduction(NamedTuple):
-    """Extra data of `over_legs` nodes: the operation that combines the legs' numbers."""
+    """Extra data of `over_legs` nodes, which reduce the numbers of all legs to one: the operation, such as a sum."""
 
     op: str  # add, mul, max, min, and, or
 
@@ -82,7 +82,7 @@ class Node:
 
 @dataclass(eq=False)
 class MemoryRegion:
-    """A piece of memory with a row of lanes for each number: an input, a loop's carry, or a result."""
+    """An array in memory with numbers for several rollouts: an input, the carry of a loop, or a result."""
 
     size: int
     dtype: str
@@ -123,7 +123,7 @@ class Block:
 
 @dataclass(eq=False)
 class Loop:
-    """A block that runs `length` times; with length None as often as the caller asks, or while `more` holds."""
+    """A block that runs `length` times; if that is None, as often as the caller asks, or as `continue_flag` holds."""
 
     length: int | None
     body: Block
@@ -132,7 +132,7 @@ class Loop:
 
 @dataclass(eq=False)
 class Branch:
-    """Several blocks, of which `index` (equal for all rollouts) selects the one that runs."""
+    """Several blocks, of which one runs; its number is `index`, which is equal for all rollouts."""
 
     index: Node
     blocks: list[Block]
@@ -203,7 +203,7 @@ class Program:
 
     @contextmanager
     def loop(self, length: int | None) -> Iterator[Loop]:
-        """Context in which the current block is the body of a new loop."""
+        """Context that opens a loop of `length` iterations: operations added in it form the loop's body."""
         loop = Loop(length, Block(len(self.blocks)))
         self.blocks.append(loop.body)
         yield loop
@@ -212,7 +212,7 @@ class Program:
 
     @contextmanager
     def branch(self, hoists: bool = False) -> Iterator[Block]:
-        """Context in which the current block is a block that may not run."""
+        """Context that opens a block of a branch: operations added in it run only if the branch is taken."""
         block = Block(len(self.blocks), is_conditional=True, allows_hoisting=hoists)
         self.blocks.append(block)
         yield block

@@ -18,7 +18,7 @@ KEY_PARITY = 0x1BD11BDA
 
 
 def keys_to_words(tree: Any) -> Any:
-    """Replace random keys in a tree of arrays or shapes by arrays of their 32-bit words (..., 2)."""
+    """Replace JAX random keys in a tree of arrays or shapes by arrays of their 32-bit words (..., 2)."""
 
     def one(x: Any) -> Any:
         if not is_key(x):
@@ -29,7 +29,7 @@ def keys_to_words(tree: Any) -> Any:
 
 
 def rewrap_if_key(x: Any, original: Any) -> Any:
-    """Wrap words as a random key if `original` is one; else return them unchanged."""
+    """Convert 32-bit words back to a JAX random key if `original` is a key; else return the array unchanged."""
     return jax.random.wrap_key_data(x) if is_key(original) else x
 
 
@@ -41,7 +41,7 @@ def is_key(x: Any) -> bool:
 def threefry_words(
     key: UInt32[Array, " 2"], first: UInt32[Array, "..."], second: UInt32[Array, "..."]
 ) -> tuple[Array, Array]:
-    """Return two random words for every counter of two words, by Threefry-2x32.
+    """Return two random words for each counter, which has two words, by the generator Threefry-2x32.
 
     Args:
         key: words of the key.
@@ -63,7 +63,7 @@ def _counted(key: Array, count: int) -> tuple[Array, Array]:
 
 
 def fold_in(key: Array, number: Array) -> Array:
-    """Return the words of a key with a number folded in, as `jax.random.fold_in`."""
+    """Fold an integer into a random key, as `jax.random.fold_in`, and return the words of the new key."""
     return jnp.stack(threefry_words(key, jnp.uint32(0), number.astype(jnp.uint32)))
 
 

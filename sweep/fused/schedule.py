@@ -17,7 +17,7 @@ RECOMPUTED_OPERATIONS = frozenset(("const", "load"))  # operations that are repe
 
 @dataclass(eq=False)
 class OperationGroup:
-    """Consecutive operations of one kind in a schedule: plain ones, or (`legs`) the body of a loop over the legs."""
+    """Consecutive operations of a schedule: either the body of a loop over the legs, or operations without legs."""
 
     is_leg_loop: bool
     nodes: list[Node] = field(default_factory=list)
@@ -25,7 +25,7 @@ class OperationGroup:
 
 @dataclass(eq=False)
 class BlockSchedule:
-    """Schedule of a block: groups of operations, stores, loops and branches, with schedules of inner blocks."""
+    """Order in which a block's operations, stores, loops and branches are printed, with schedules of inner blocks."""
 
     block: Block
     steps: list[Any] = field(default_factory=list)
@@ -36,7 +36,7 @@ class BlockSchedule:
 
 @dataclass(eq=False)
 class ScratchSlots:
-    """Allocator of slots in scratch memory for values of the legs.
+    """Assigns places in scratch memory to temporary values that are computed for all legs, and reuses free places.
 
     There are `count` slots, each of six rows of lanes of `size` bytes; `by_node` has a node's slot by its number.
     """
@@ -47,7 +47,7 @@ class ScratchSlots:
     size: int = 4
 
     def allocate(self) -> int:
-        """Return the number of a free slot, or of a new one."""
+        """Return the number of a free place in scratch memory, or of a new one."""
         if self.free_slots:
             return self.free_slots.pop()
         self.count += 1
@@ -55,7 +55,7 @@ class ScratchSlots:
 
 
 def schedule_block(block: Block, needed: set[int]) -> BlockSchedule:
-    """Order the operations of a block into groups.
+    """Group the operations of a block into loops over the legs and code between these loops.
 
     Args:
         block: the block.
@@ -123,7 +123,7 @@ def _roots(block: Block) -> Iterator[Node]:
 
 
 def assign_scratch_slots(top: BlockSchedule) -> ScratchSlots:
-    """Assign scratch slots to values of the legs that are used outside their group of operations."""
+    """Assign places in scratch memory to values per leg that are used outside the leg loop which computes them."""
     found = ScratchSlots()
     _assign_slots(top, found)
     return found
@@ -163,7 +163,7 @@ def _reads_from_memory(step: Any, inner: list[BlockSchedule]) -> Iterator[int]:
 
 
 def used_memory_regions(order: BlockSchedule) -> set[MemoryRegion]:
-    """Return all memory regions that a schedule loads from or stores to."""
+    """Return all arrays in memory that a scheduled program loads from or stores to."""
     found: set[MemoryRegion] = set()
     for at, step in enumerate(order.steps):
         if isinstance(step, OperationGroup):

@@ -27,7 +27,7 @@ INTRINSICS = {"sqrt": "sqrt", "floor": "floor", "ceil": "ceil", "round": "rounde
 
 
 class LlvmFunctionPrinter:
-    """Prints an LLVM function line by line, on vectors of `lanes` numbers or (1) single numbers."""
+    """Prints an LLVM function line by line, on vectors of `lanes` numbers (one a rollout) or on single numbers."""
 
     def __init__(self, lanes: int):
         self.lanes = lanes
@@ -77,20 +77,20 @@ class LlvmFunctionPrinter:
         self.lines.append(f"switch {kind} {index}, label %{name}_{count - 1} [{cases}]")
 
     def vector_type(self, dtype: str) -> str:
-        """Return LLVM's type for a number in all lanes."""
+        """Return the LLVM type of a vector that holds a number for each of several rollouts (lanes)."""
         return LLVM_TYPES[dtype] if self.lanes == 1 else f"<{self.lanes} x {LLVM_TYPES[dtype]}>"
 
     def type_suffix(self, dtype: str) -> str:
-        """Return the suffix of LLVM intrinsics for a type."""
+        """Return the suffix that LLVM intrinsics have for a number type, such as `f32`."""
         kind = {"float": "f32", "double": "f64"}.get(LLVM_TYPES[dtype], LLVM_TYPES[dtype])
         return kind if self.lanes == 1 else f"v{self.lanes}{kind}"
 
     def splat(self, kind: str, value: Any) -> str:
-        """Return the LLVM constant of type `kind` with one value in all lanes."""
+        """Return the LLVM constant of type `kind` that repeats one value for all rollouts of a vector."""
         return str(value) if self.lanes == 1 else "<" + ", ".join([f"{kind} {value}"] * self.lanes) + ">"
 
     def literal(self, value: Any) -> str:
-        """Return the LLVM constant with one value in all lanes."""
+        """Return a number as an LLVM constant, repeated for all rollouts of a vector."""
         value = np.asarray(value)
         kind = LLVM_TYPES[value.dtype.name]
         if value.dtype == bool:

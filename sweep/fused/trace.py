@@ -17,7 +17,7 @@ LEG_COUNT = 6  # the robot's legs
 
 
 class ArrayLayout(NamedTuple):
-    """Location of an array in a rollout's memory: the offset of its first element; the others follow in order."""
+    """Location of an array in a rollout's memory: the offset of its first element, which all others follow in order."""
 
     offset: int
     shape: tuple[int, ...]
@@ -30,7 +30,7 @@ class ArrayLayout(NamedTuple):
 
 
 class TracedProgram(NamedTuple):
-    """A tick function as a traced program, with the memory layout of its arrays."""
+    """The function of a control tick, traced to a program, with the memory layout of its arrays."""
 
     top_block: Block
     input_leaves: list[ArrayLayout]  # inputs, which do not change
@@ -51,7 +51,7 @@ def trace_program(
     share_memory: bool,
     group: int,
 ) -> TracedProgram:
-    """Trace the tick function `(inputs, carry, number) -> (carry, record)` of one rollout.
+    """Trace the function of a control tick, `(inputs, carry, number) -> (carry, record)`, to a program for one rollout.
 
     Args:
         function: the tick function.

@@ -47,7 +47,7 @@ class Manoeuvre:
         complete_manoeuvre(cls)
 
     def plan(self, belief: "Case") -> Any:
-        """Make the plan for the believed case; JAX traces this function.
+        """Make the plan of motion from what the robot believes of robot and obstacle; JAX traces this function.
 
         Numbers are nan where no plan exists. Raises `InputError` where plain numbers admit no plan.
         """
@@ -58,7 +58,7 @@ class Manoeuvre:
         return None
 
     def guide(self, belief: "Case", ctx: Any, state: Any) -> Any:
-        """Return the stance to command in one tick, for manoeuvres with feedback."""
+        """Return the poses of base and feet to command in one tick, for manoeuvres with feedback."""
         raise NotImplementedError
 
     def is_stage_over(self, belief: "Case", plan: Any, state: Any, obs: Any) -> Any:
@@ -67,12 +67,11 @@ class Manoeuvre:
         raise NotImplementedError
 
     def obstacle_speed(self, duration: Array) -> Array:
-        """Return the reference speed (m/s) of the driven free body at the end of a plan of `duration` (s)."""
+        """Return the speed (m/s) that the body driven by the robot should have after a plan of `duration` (s)."""
         raise NotImplementedError
 
     def lateral_offset(self, way: Float[Array, " 3"]) -> Array:
-        """Return the distance (m) of the driven free body from its planned path after a displacement `way` (m, world
-        axes)."""
+        """Return how far (m) the driven body is beside its planned path after a displacement `way` (m, world axes)."""
         return jnp.abs(way[1])
 
 
@@ -93,8 +92,7 @@ def complete_manoeuvre(cls: type) -> None:
 
 @parameters
 class Case:
-    """All parameter groups of one rollout (robot, obstacle, manoeuvre, ...): either the simulated world or the robot's
-    belief.
+    """All parameter groups of a rollout (robot, obstacle, manoeuvre, ...), as simulated or as the robot believes.
 
     A pytree: leaves are numbers, or arrays over the batch where a study varies them.
     """
@@ -110,6 +108,6 @@ class Case:
     plan: PlanTable = PlanTable()
 
     def obstacle_of_type[T: Obstacle](self, kind: type[T]) -> T:
-        """Return the obstacle, checked to be of the type that the manoeuvre supports."""
+        """Return the rollout's obstacle, checked to be of the type `kind` that the manoeuvre supports."""
         assert isinstance(self.obstacle, kind)
         return self.obstacle

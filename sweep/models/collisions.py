@@ -23,7 +23,7 @@ OBSTACLE_COLLISION_BIT, SHIN_COLLISION_BIT, LEG_COLLISION_BIT = (
 
 
 def enable_collisions(spec: mujoco.MjSpec, case: Case, links: tuple[str, ...]) -> None:
-    """Enable collisions of links and base in a finished MuJoCo spec.
+    """Enable collisions of the robot's links and base in a finished MuJoCo spec.
 
     Args:
         spec: The model of `build_spec` with geoms; changed in place.

@@ -5,7 +5,7 @@ from sweep.core.parameters import choice, parameters, quantity
 
 @parameters
 class Control:
-    """Settings of calibration, learning by touch and replanning; all off by default.
+    """Settings of the controller's calibration, learning by touch and replanning; all off by default.
 
     It belongs to what is simulated, as sensors do: it is read from the world's side.
     """

@@ -4,10 +4,10 @@ WORLD_FRAME = 0
 
 
 def koenig_frame_number(body: int) -> int:
-    """Return the number of free body `body`'s Koenig frame: origin at its mass centre, axes of the world."""
+    """Return the number of the frame at the mass centre of free body `body` with axes parallel to the world's."""
     return 1 + 2 * body
 
 
 def body_frame_number(body: int) -> int:
-    """Return the number of free body `body`'s own frame: origin at its mass centre, axes of the body."""
+    """Return the number of the frame at the mass centre of free body `body` with axes fixed in the body."""
     return 2 + 2 * body

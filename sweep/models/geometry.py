@@ -49,7 +49,7 @@ def support_margin(feet: Float[Array, "n 2"], standing: Bool[Array, " n"], point
 
 
 def edge_distance(obstacle: Obstacle, feet: Float[Array, "n 3"], bodies: BodyPoses) -> Float[Array, " n"]:
-    """Return the distances of feet from the edges of the faces on which they stand.
+    """Return the distance (m) of each foot from the edge of the obstacle's face on which it stands.
 
     It probes the depth of the obstacle under each foot, so that it is at most `EDGE_SEARCH_RADIUS_M` and half the local
     thickness.
@@ -89,7 +89,7 @@ def segment_distance(
 def segment_box_distance(
     a: Float[Array, "n 3"], b: Float[Array, "n 3"], half: Float[Array, " 3"]
 ) -> Float[Array, " n"]:
-    """Return the distance of segments to a box of half sizes `half` about the origin; negative if a segment enters it.
+    """Return the distance (m) of segments a to b from a box of half sizes `half` about the origin; negative inside.
 
     Its square is convex along a segment: the slope is halved in on, coordinate by coordinate, which a compiler makes
     one loop of.
@@ -111,7 +111,7 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def gap_between_legs(joints: Float[Array, "6 k 3"]) -> Float[Array, ""]:
-    """Return the least distance between the centre lines of any two legs.
+    """Return the least distance (m) between the centre lines of any two legs.
 
     `joints` are the points along each leg from the end of the hip's first link to the foot.
     """
@@ -137,7 +137,7 @@ class Capsules(NamedTuple):
 
 
 def link_capsules(joints: Float[Array, "6 k 3"], robot: Robot) -> Capsules:
-    """Make the capsules of all links; a shin ends in a thin pin.
+    """Make the capsules of the legs' links for distance computations; a shin becomes thin before its foot.
 
     A shin has the link's radius until it is `FOOT_LENGTH` plus that radius from the foot, then `PIN_RADIUS` until it is
     a link's radius from the foot. Nearer to the foot only the contact point remains.
@@ -163,7 +163,7 @@ def link_capsules(joints: Float[Array, "6 k 3"], robot: Robot) -> Capsules:
 
 
 def shin_slope_sines(joints: Float[Array, "6 k 3"], normal: Float[Array, "6 3"]) -> Float[Array, " 6"]:
-    """Return the sines of the angles between shins and the faces under their feet.
+    """Return for each leg the sine of the angle between its shin and the face under its foot.
 
     Args:
         joints: Points along each leg from the hip to the foot (m).
@@ -182,7 +182,7 @@ def leg_base_gap(
     rotation: Float[Array, "3 3"],
     robot: Robot,
 ) -> Float[Array, ""]:
-    """Return the least distance of thighs and shins to the robot's own base between the hips.
+    """Return the least distance (m) of thighs and shins from the robot's own base.
 
     Thighs start at the surface of the base, so that only their part beyond `hip_clearance` counts.
 
@@ -202,7 +202,7 @@ def leg_base_gap(
 
 
 def thigh_shin_gap(joints: Float[Array, "6 k 3"], clearance: Array | float) -> Float[Array, ""]:
-    """Return the least distance between the centre lines of a leg's thigh and shin.
+    """Return the least distance (m) between the centre lines of thigh and shin of the same leg, over all legs.
 
     Args:
         joints: Points along each leg from the hip to the foot (m).

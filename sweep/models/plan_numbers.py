@@ -17,7 +17,7 @@ INCREMENT_PREFIX = "+"  # before a path: by how much the number there is more th
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class PlanTable:
-    """Numbers of a case's plan: the content of its plan file, and changed numbers by path.
+    """The numbers of a plan: the content of the plan file, and the numbers that a configuration changes, by path.
 
     The configuration makes it; axes and tuning change it. JAX traces only the changed numbers.
     """
@@ -27,7 +27,7 @@ class PlanTable:
     values: tuple[Array | float, ...] = ()
 
     def with_value(self, path: str, value: Any, formulas: Mapping[str, float] | None = None) -> "PlanTable":
-        """Return a table with the number at `path` replaced.
+        """Return a copy of the plan's numbers in which the one at `path` has another value.
 
         Args:
             path: The number's path without `plan.`.
@@ -40,7 +40,7 @@ class PlanTable:
         return dataclasses.replace(self, paths=tuple(changes), values=tuple(changes.values()))
 
     def with_increment(self, path: str, increment: Any) -> "PlanTable":
-        """Return a table with `increment` added to the number at `path`, after its formula and earlier increments."""
+        """Return a copy of the plan's numbers with `increment` added to the one at `path`, on top of earlier ones."""
         return self.with_value(INCREMENT_PREFIX + path, self.changes.get(INCREMENT_PREFIX + path, 0.0) + increment)
 
     @property

@@ -12,7 +12,7 @@ from sweep.models.robot import Robot
 
 
 class Stance(NamedTuple):
-    """Feet and base of the robot, planned or measured; world axes unless said otherwise."""
+    """Positions of the feet and pose of the base, planned or measured; world axes unless said otherwise."""
 
     feet: Float[Array, "6 3"]  # m
     position: Float[Array, " 3"]  # m, of the base
@@ -20,7 +20,7 @@ class Stance(NamedTuple):
 
 
 class LegMounts(NamedTuple):
-    """Where legs 1 to 6 are mounted, base axes."""
+    """Positions and directions in which legs 1 to 6 are mounted on the base, base axes."""
 
     hips: Float[Array, "6 3"]  # m
     yaw: np.ndarray  # rad, (6,), of the axes of each leg: 0 where alpha counts from the y axis, else that of the radius

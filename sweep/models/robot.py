@@ -47,7 +47,7 @@ def base_half_size(robot: Robot) -> Float[Array, " 3"]:
 
 
 def forbidden_half_size(robot: Robot) -> Float[Array, " 3"]:
-    """Return half sizes (m) of the box that legs must not enter: the base without the margin that thighs sweep.
+    """Return half sizes (m) of the box that legs must not enter: the base, less a margin through which thighs sweep.
 
     Hips lie on the sides of the base. Between the hips the sides stand back by a link's radius, so that a thigh which
     turns along a side passes it.
@@ -62,8 +62,7 @@ def total_mass(robot: Robot) -> Array | float:
 
 
 def length_unit(robot: Robot) -> Array | float:
-    """Return the unit of lengths in plans (m): thigh plus shin, scaled to the base length a_r for the monograph's
-    robot."""
+    """Return the length unit of plans (m): thigh plus shin, scaled to be the base length of the monograph's robot."""
     return (robot.thigh + robot.shin) * (1.05 / 0.855)
 
 

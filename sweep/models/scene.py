@@ -33,7 +33,7 @@ def _rod(mass: Array | float, length: Array | float, radius: Array | float) -> t
 
 
 def batched_model_fields(case: Case) -> dict[str, dict[str, Array]]:
-    """Return the fields of the MuJoCo model that depend on parameters, for a batched or traced case.
+    """Return the fields of the MuJoCo model that depend on parameters, for a batch of rollouts or traced parameters.
 
     Returns:
         Arrays by field of `MjModel`, then by the name of a body, site or (for `dof_armature`) joint.
@@ -75,7 +75,7 @@ _leaves = jax.jit(batched_model_fields)  # a row of a table of cases would take 
 
 
 def compile_model(case: Case, geoms: bool = True) -> mujoco.MjModel:
-    """Build and compile the MuJoCo model of one case.
+    """Build and compile the MuJoCo model of robot and obstacle from the parameters of a rollout.
 
     Args:
         case: Parameters, plain numbers.
@@ -96,7 +96,7 @@ def compile_model(case: Case, geoms: bool = True) -> mujoco.MjModel:
 
 
 def find_too_light_bodies(case: Case) -> np.ndarray:
-    """Return which cases of a batch have a body with too little mass or inertia for MuJoCo to compile the model.
+    """Return for which rollouts of a batch MuJoCo would refuse the model, as a body has too little mass or inertia.
 
     Args:
         case: the case, with varied quantities as arrays (n,).
@@ -122,7 +122,7 @@ def _least_inertias(structure: Any, axes: tuple[int | None, ...], leaves: list[A
 
 
 def build_spec(case: Case, geoms: bool = True) -> mujoco.MjSpec:
-    """Build the MuJoCo spec of robot and obstacle of one case.
+    """Build the MuJoCo spec of robot and obstacle from the parameters of a rollout.
 
     Args:
         case: Parameters, plain numbers.
@@ -244,7 +244,7 @@ def _add_leg(
 
 
 def native_model(case: Case, time_step: float, solid: bool = False) -> mujoco.MjModel:
-    """Compile the MuJoCo model of the native engine.
+    """Compile the MuJoCo model for the native engine (C MuJoCo).
 
     Args:
         case: Parameters, plain numbers.
@@ -255,7 +255,7 @@ def native_model(case: Case, time_step: float, solid: bool = False) -> mujoco.Mj
 
 
 def native_spec(case: Case, time_step: float, solid: bool = False) -> mujoco.MjSpec:
-    """Build the MuJoCo spec of the native engine: contact, the clamped servos of (1.2.1) and foot force sensors.
+    """Build the MuJoCo spec of the native engine (C MuJoCo), with contacts, servos of (1.2.1) and foot force sensors.
 
     The settings hold a stiff robot still: elliptic cones, impratio 100, stiff contact.
 

@@ -33,7 +33,7 @@ EDGE_STARTS, EDGE_ENDS = (
 
 
 class Solid(Protocol):
-    """A rigid shape of an obstacle, with signed distances to links and base. Sizes may be plain or traced numbers."""
+    """A rigid shape that is part of an obstacle, with signed distances to the robot's links and base."""
 
     @property
     def name(self) -> str:
@@ -103,7 +103,7 @@ def _nearest(solids: Sequence[Solid], distance: Callable[[Solid], Array]) -> Arr
 
 
 def array_module(x: Any) -> Any:
-    """Return `jax.numpy` for JAX arrays and tracers, NumPy for plain numbers, which then stay plain."""
+    """Return the module that computes with `x`: `jax.numpy` for JAX arrays and tracers, NumPy for plain numbers."""
     return jnp if isinstance(x, jax.Array) else np
 
 
@@ -123,12 +123,12 @@ class HalfSpace:
     body: int = -1
 
     def segment_distance(self, a: Array, b: Array) -> Array:
-        """Return the signed distance (m) to segments: that of their lower ends to the plane."""
+        """Return the signed distance (m) from the plane to segments, measured at their lower ends."""
         normal = _vector(self.normal, a.dtype)
         return jnp.minimum(a @ normal, b @ normal)
 
     def box_distance(self, centre: Array, rotation: Array, half: Array) -> Array:
-        """Return the signed distance (m) to a box: that of its lowest corner to the plane."""
+        """Return the signed distance (m) from the plane to a box, measured at its lowest corner."""
         normal = _vector(self.normal, centre.dtype)
         return centre @ normal - jnp.abs(normal @ rotation) @ half
 
@@ -143,13 +143,13 @@ class Sphere:
     body: int = -1
 
     def segment_distance(self, a: Array, b: Array) -> Array:
-        """Return the signed distance (m) to segments: that of their nearest point to the centre, minus the radius."""
+        """Return the signed distance (m) from the sphere to segments: centre to nearest point, less the radius."""
         centre, along = _vector(self.centre, a.dtype), b - a
         share = jnp.clip(_dot(centre - a, along) / (_dot(along, along) + MIN_SQUARE), 0.0, 1.0)
         return _length(a + share[:, None] * along - centre) - self.radius
 
     def box_distance(self, centre: Array, rotation: Array, half: Array) -> Array:
-        """Return the signed distance (m) to a box: its distance to the centre, minus the radius."""
+        """Return the signed distance (m) from the sphere to a box: centre to nearest point, less the radius."""
         return distance_from_box((_vector(self.centre, centre.dtype) - centre) @ rotation, half) - self.radius
 
 
@@ -285,7 +285,7 @@ class Cylinder(_Convex):
         return extent, extent
 
     def support_points(self, axes: Array) -> Array:
-        """Return points of both rims that are outermost along given axes."""
+        """Return the points of both rims that lie farthest along given axes."""
         rim = self._rim(axes[:, :2] / _length(axes[:, :2])[:, None], jnp.where(axes[:, 2] < 0, -1.0, 1.0))
         return jnp.concatenate([rim, -rim])
 
@@ -298,7 +298,7 @@ class Cylinder(_Convex):
         return [points * np.array([1, 1, 0], points.dtype)]
 
     def edge_cross_axes(self, along: Array, points: Array) -> list[Array]:
-        """Return axes at the rim points whose tangent is most parallel to an edge along `along`."""
+        """Return candidate axes that separate the cylinder from edges along `along`, for its side and rims."""
         side = jnp.where(points[:, 2] < 0, -1.0, 1.0)
         clamped = jnp.clip(points[:, 2], -self.half, self.half)
         distance = _length(points[:, :2])[:, None]

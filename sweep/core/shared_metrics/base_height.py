@@ -6,7 +6,7 @@ from sweep.core.metric import Array, CommonTick, array_namespace, make_extremes_
 
 
 def least_height(ctx: CommonTick) -> Iterator[Array]:
-    """Return the smallest height (m) of the base's origin since the previous report."""
+    """Yield the smallest height (m) of the base's origin above the world's origin since the previous report."""
     height = ctx.base_position[..., 2]
     yield array_namespace(height).min(height, axis=-1)
 

@@ -4,7 +4,7 @@ from sweep.core.metric import Array, CommonRollout, array_namespace, make_end_me
 
 
 def compute(state: tuple[()], rollout: CommonRollout) -> dict[str, Array]:
-    """Compute the cost of transport: the work over weight times distance, from columns of other metrics."""
+    """Compute the cost of transport, work over weight times distance, from the work and distance metrics."""
     way = rollout.columns["travelled_m"]
     xp = array_namespace(way)
     return {"cost_of_transport": rollout.columns["energy_j"] / (rollout.weight * xp.maximum(xp.abs(way), 1e-9))}

@@ -23,8 +23,7 @@ FLOOR, BALL = range(2)
 def point_at_elevation(
     obstacle: "Ball", side: float, unit: Number, depth: Number, aside: Number, elevation: Number
 ) -> Float[Array, " 3"]:
-    """Return the foothold on the ball at an elevation, `aside` radii R from the middle plane (elevation in deg; 0
-    behind, 90 on top)."""
+    """Return a foothold on the ball, R `aside` of the middle plane, at an elevation (deg): 0 behind, 90 on top."""
     angle, out = jnp.radians(jnp.asarray(elevation, float)), jnp.asarray(aside, float)
     round_ = jnp.sqrt(1 - out**2)
     return (obstacle.radius - depth) * stack_point(-round_ * jnp.cos(angle), side * out, round_ * jnp.sin(angle))
@@ -33,7 +32,7 @@ def point_at_elevation(
 def cap_point(
     obstacle: "Ball", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
-    """Return a foothold on the ball's upper half from chart coordinates: `aside` and `ahead` of its centre (R)."""
+    """Return a foothold on the ball's upper half (m), `aside` and `ahead` of the ball's centre (in radii)."""
     x, y = (jnp.asarray(part, float) for part in (ahead, side * aside))
     return (obstacle.radius - depth) * stack_point(x, y, jnp.sqrt(1 - x**2 - y**2))
 
@@ -41,14 +40,14 @@ def cap_point(
 def floor_point(
     obstacle: "Ball", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
-    """Return a foothold on the floor from chart coordinates: `aside` and `ahead` of the ball's centre (R)."""
+    """Return a foothold on the floor (m), `aside` and `ahead` of the ball's centre (in radii)."""
     return stack_point(ahead * obstacle.radius, side * aside * obstacle.radius, -obstacle.radius - depth)
 
 
 def tangent_base_position(
     obstacle: "Ball", side: float, unit: Number, depth: Number, elevation: Number, distance: Number, ahead: Number = 0.0
 ) -> Float[Array, " 3"]:
-    """Return a base position, tangent to a circle about the ball's centre, from chart coordinates.
+    """Return a base position (m) given as a distance along a tangent to a circle about the ball's centre.
 
     Args:
         obstacle: The ball.
@@ -68,7 +67,7 @@ def tangent_base_position(
 
 
 def tangent_pitch(obstacle: "Ball", unit: Number, elevation: Number, distance: Number, ahead: Number = 0.0) -> Array:
-    """Return the pitch (rad) of a base at the chart coordinates that `tangent_base_position` uses.
+    """Return the pitch (rad, nose up) of a base that `tangent_base_position` places along a tangent.
 
     Args:
         obstacle: The ball.
@@ -90,7 +89,7 @@ def pitch_pivot(obstacle: "Ball", unit: Number, *numbers: Number) -> Float[Array
 
 @parameters
 class Ball(ObstacleDefaults):
-    """A free ball on the floor, by default of radius 0.8 a_r and 100 kg.
+    """A free ball on the floor, by default of radius 0.84 m and 100 kg.
 
     At the start it rests on the world's origin, or rolls over it."""
 
@@ -139,7 +138,7 @@ class Ball(ObstacleDefaults):
         add_rolling_contact(spec.worldbody, bodies, self.radius, resistance)
 
     def batched_model_fields(self) -> dict[str, dict[str, Array]]:
-        """Return mass and inertia of the ball as MuJoCo model fields, by field and body."""
+        """Return the fields of the MuJoCo model that hold the ball's mass and inertia, by field and body."""
         inertia = 2 / 5 * self.mass * self.radius**2
         return {
             "body_mass": {"ball": jnp.asarray(self.mass)},
@@ -155,12 +154,12 @@ class Ball(ObstacleDefaults):
         return FreeState(position[None], jnp.array([[1.0, 0.0, 0.0, 0.0]]), velocity[None], turn[None])
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """Return the solids: the floor and the ball."""
+        """Return floor and ball as solids, for distance computations."""
         floor = HalfSpace(name="floor", normal=(0.0, 0.0, 1.0))
         return floor, Sphere(name="ball", radius=self.radius, centre=bodies.position[0], body=0)
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """Return the contact surface at points (m): of floor or ball, whichever the point is deeper in.
+        """Return the contact surface at points (m): that of floor or ball, whichever contains the point more deeply.
 
         A point that belongs to the ball is its centre and touches only the floor, one radius below.
         """

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class ObstacleDefaults:
-    """Default members of an obstacle: no charts, no sizes to learn by touch, no external wrench on free bodies."""
+    """Defaults for optional members of an obstacle: no named coordinates, no sizes to estimate, no external wrench."""
 
     charts: ClassVar[dict[str, Chart]] = {}
     forward: tuple[float, float] = (0.0, -1.0)
@@ -24,12 +24,12 @@ class ObstacleDefaults:
     stood_on: tuple[str, ...] = ()
 
     def external_wrench(self, free: FreeState) -> Float[Array, "k 6"] | None:
-        """Return None: no wrench acts on free bodies other than weight and contact."""
+        """Return the wrenches on free bodies other than weight and contact: by default None, for no such wrench."""
         return None
 
 
 class StaticObstacle(ObstacleDefaults, ABC):
-    """Base class of obstacles without free bodies; a subclass adds a kind, sizes, solids and a surface."""
+    """Base class of obstacles that do not move; a subclass adds a kind, sizes, solids and a surface."""
 
     free_bodies: tuple[str, ...] = ()
     contact_sites: tuple[tuple[str, int], ...] = ()
@@ -39,9 +39,9 @@ class StaticObstacle(ObstacleDefaults, ABC):
         """Return the solids of which the obstacle consists."""
 
     def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
-        """Add the solids to a MuJoCo spec as geoms."""
+        """Add the obstacle's solids to a MuJoCo spec as geoms."""
         add_solids(spec, self.solids(identity_poses(0)), friction)
 
     def batched_model_fields(self) -> dict[str, dict[str, Array]]:
-        """Return no model fields, since nothing moves."""
+        """Return the MuJoCo model fields that depend on varied masses and sizes: none, since nothing moves."""
         return {}

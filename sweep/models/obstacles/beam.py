@@ -62,7 +62,7 @@ class Beam(StaticObstacle):
         )
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """Return the surface of the deepest solid at points; the depth in a solid is the least over its faces.
+        """Return the contact surface at points: that of the solid (beam or ledge) in which each point lies deepest.
 
         The beam goes on inside the ledges, so that a foot crosses their edges on its top as if there were none.
         """

@@ -14,7 +14,7 @@ ALONG_X, ALONG_Y = (1.0, 0.0), (0.0, -1.0)
 
 
 class Chart(NamedTuple):
-    """Named coordinates of points (a chart), and the function that maps them to metres; obstacles define them."""
+    """Named coordinates in which plans give footholds or base poses on an obstacle, with the map to metres."""
 
     names: tuple[str, ...]
     # the point (m) in `frame` of: what offers the chart; -1 or 1, the leg's side, as it mirrors places; the unit of
@@ -30,12 +30,12 @@ class Chart(NamedTuple):
     optional_count: int = 0  # of the last coordinates, which are 0 where they are not said
 
     def base_names(self) -> tuple[str, ...]:
-        """Names of the numbers that give a base pose in this chart."""
+        """Names of the coordinates that give a base pose in this chart, including `pitch`."""
         return self.names if self.pitch else (*self.names, "pitch")
 
 
 def edge_chart(edge: Callable[[Any], tuple[Number, Number]]) -> Chart:
-    """Make a chart for base positions that approach along -y, relative to an edge at (y, z) (m) in the plane x = 0."""
+    """Make named coordinates for base positions relative to an edge at (y, z) (m) that robots approach along -y."""
 
     def at(owner: Any, side: float, unit: Number, depth: Number, ahead: Number, above: Number) -> Float[Array, " 3"]:
         y, z = edge(owner)
@@ -45,7 +45,7 @@ def edge_chart(edge: Callable[[Any], tuple[Number, Number]]) -> Chart:
 
 
 def approach_charts(foot: Callable[[Any], Number], forward: ForwardDirection = ALONG_Y) -> dict[str, Chart]:
-    """Make charts of the floor in front of an obstacle: `floor` for feet and `foot` for bases.
+    """Make named coordinates on the floor in front of an obstacle: `floor` for feet and `foot` for bases.
 
     Args:
         foot: Distance (m) of the obstacle's foot from the origin along `forward`, from the obstacle.
@@ -64,7 +64,7 @@ def approach_charts(foot: Callable[[Any], Number], forward: ForwardDirection = A
 def level_ground_charts(
     edge: Callable[[Any], tuple[Number, Number]], forward: ForwardDirection = ALONG_X, frame: int = WORLD_FRAME
 ) -> tuple[Chart, Chart]:
-    """Make charts of level ground beyond an edge.
+    """Make named coordinates for feet and bases on level ground beyond an edge.
 
     Args:
         edge: Distance (m) of the edge from the origin along `forward`, and its height (m), from the obstacle.
@@ -87,8 +87,7 @@ def level_ground_charts(
 
 
 def rearing_base_chart(length: Number) -> Chart:
-    """Make a chart for base positions of a body of `length` (m) that rears up in front of an obstacle approached along
-    -y.
+    """Make named coordinates for a base of `length` (m) that rears up in front of an obstacle approached along -y.
 
     The base's front edge moves up a vertical line and its rear edge along a level line; its centre goes round the point
     where these lines cross, whose coordinates are `ahead` and `above`.
@@ -110,7 +109,7 @@ def rearing_base_chart(length: Number) -> Chart:
 
 
 def point_ahead(forward: ForwardDirection, aside: Number, ahead: Number, up: Number) -> Float[Array, " 3"]:
-    """Convert coordinates along the approach of robots to world axes.
+    """Return a point in world axes from its distances aside, ahead (along the robots' approach) and up.
 
     Args:
         forward: Direction in which robots approach.

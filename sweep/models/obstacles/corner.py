@@ -19,8 +19,7 @@ HOUSE_DEPTH_M = 3.0  # m, that the house reaches back in y
 def wall_point(
     obstacle: "Corner", side: float, unit: Number, depth: Number, aside: Number, above: Number
 ) -> Float[Array, " 3"]:
-    """Return a foothold on a wall of the corner from chart coordinates: `aside` of the corner's edge, `above` the
-    roof."""
+    """Return a foothold on a wall (m), given `aside` of the house's vertical edge and `above` the roof."""
     x = aside * unit
     return stack_point(side * x, -x / jnp.tan(obstacle.half_angle), obstacle.height + above * unit)
 
@@ -28,7 +27,7 @@ def wall_point(
 def roof_point(
     obstacle: "Corner", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
-    """Return a foothold on the roof from chart coordinates: `aside` of the middle, `ahead` of the corner's edge."""
+    """Return a foothold on the roof (m), given `aside` of the middle and `ahead` of the house's vertical edge."""
     return stack_point(side * (aside * unit), -ahead * unit, obstacle.height)
 
 
@@ -51,21 +50,20 @@ class Corner(StaticObstacle):
     height: float = quantity(2.3, "m", above=0)  # h, of the house above the floor
 
     def walls(self) -> Float[Array, "2 3"]:
-        """Outward normals of both walls, first the wall towards -x, then the wall towards +x."""
+        """Outward unit normals of the house's two walls, first of the wall towards -x, then of the one towards +x."""
         cos, sin = jnp.cos(self.half_angle), jnp.sin(self.half_angle)
         zero = jnp.zeros_like(cos)
         return jnp.stack([jnp.stack([-cos, sin, zero]), jnp.stack([cos, sin, zero])])
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """Return the solids: the floor and the house, whose back wall no robot reaches."""
+        """Return floor and house as solids; the house ends so far behind that no robot reaches its back wall."""
         half = HOUSE_DEPTH_M * array_module(self.half_angle).tan(self.half_angle)
         polygon = ((0.0, 0.0), (half, -HOUSE_DEPTH_M), (-half, -HOUSE_DEPTH_M))
         floor = HalfSpace(name="floor", normal=(0.0, 0.0, 1.0))
         return floor, Prism(name="house", polygon=polygon, height=self.height)
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """Return the surface of floor or house, whichever is deeper at each point; the depth in the house is the least
-        over its faces."""
+        """Return the contact surface at points: that of floor or house, whichever contains the point more deeply."""
         walls = self.walls().astype(points.dtype)
         up = jnp.array([0.0, 0.0, 1.0], points.dtype)
         z = points[:, 2]

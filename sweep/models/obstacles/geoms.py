@@ -19,7 +19,7 @@ STIFF_CONTACT = {"solref": [0.004, 1.0], "solimp": [0.95, 0.99, 0.001, 0.5, 2.0]
 
 
 def add_solids(spec: "mujoco.MjSpec", solids: Sequence[Solid], friction: float, bodies: Sequence[str] = ()) -> None:
-    """Add a geom to render and one for contact for each solid, in the axes of the free body that it belongs to."""
+    """Add two MuJoCo geoms for each solid, one rendered and one for contact, to the body that owns the solid."""
     for solid in solids:
         body = spec.worldbody if solid.body < 0 else spec.body(bodies[solid.body])
         drawn = {"group": RENDER_GROUP, "mass": 0.0, "contype": 0, "conaffinity": 0}
@@ -29,7 +29,7 @@ def add_solids(spec: "mujoco.MjSpec", solids: Sequence[Solid], friction: float, 
 
 
 def add_solid(spec: "mujoco.MjSpec", solid: Solid, name: str, margin: float = 0.0) -> dict[str, Any]:
-    """Return the options of a geom in the shape of a solid, shrunk by `margin` (m), in the solid's axes.
+    """Return the MuJoCo geom options for the shape of a solid, shrunk by `margin` (m), in the solid's axes.
 
     A prism's is a mesh called `name`, which is put in the spec.
     """
@@ -68,7 +68,7 @@ def add_solid(spec: "mujoco.MjSpec", solid: Solid, name: str, margin: float = 0.
 def add_rolling_contact(
     world: "mujoco.MjsBody", balls: "Sequence[mujoco.MjsBody]", radius: float, resistance: Sequence[float]
 ) -> None:
-    """Add contact pairs of balls with the floor z = 0, with sliding, spinning and rolling friction of their own.
+    """Add MuJoCo contact pairs of balls with the floor z = 0, with sliding, spinning and rolling friction.
 
     Balls and floor meet in geoms of their own, which have their full size and which feet do not feel. They are stiff:
     MuJoCo softens rolling friction by (slide/roll)^2, and with the impedance of the feet it would be viscous below
@@ -91,7 +91,7 @@ def add_rolling_contact(
 
 
 def add_contact_pair(spec: "mujoco.MjSpec", first: str, second: str, friction: float, damping_ratio: float) -> None:
-    """Add a contact pair of two bodies' geoms, or of a body and the world, with its own friction.
+    """Add a MuJoCo contact pair, with its own friction, between geoms of two bodies, or of a body and the world.
 
     With its own friction and damping: the impedance of the feet lets bodies rebound with most of their speed.
     """
@@ -146,7 +146,7 @@ def _inset(polygon: np.ndarray, margin: float) -> np.ndarray:
 
 
 def hidden_geom_options() -> dict[str, Any]:
-    """Return the options of a geom that collides but is not rendered."""
+    """Return the options of a MuJoCo geom that collides but is not rendered."""
     return {"rgba": [0, 0, 0, 0], "group": COLLISION_GROUP, "mass": 0.0}
 
 

@@ -32,7 +32,7 @@ class Kerb(StaticObstacle):
     height: float = quantity(0.1, "m", above=0, at_most=1)  # of the ground beyond the edge, above that before it
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """Return the solids: the lower ground, and the raised block, which ends where no robot reaches."""
+        """Return the lower ground and the raised block as solids; the block ends where no robot reaches."""
         floor, half = HalfSpace(name="floor", normal=(0.0, 0.0, 1.0)), self.height / 2
         return floor, Box(
             name="kerb",
@@ -42,8 +42,7 @@ class Kerb(StaticObstacle):
         )
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """Return the surface of floor or block, whichever is deeper at each point; the depth in the block is the least
-        over both faces."""
+        """Return the contact surface at points: that of ground or raised block, whichever they are deeper in."""
         x, _, z = points.T
         block = jnp.minimum(x, self.height - z)
         face = jnp.select([-z >= block, x <= self.height - z], [FLOOR, WALL], TOP)

@@ -35,8 +35,7 @@ LEDGE_CHART, _ = level_ground_charts(lambda obstacle: (0.0, obstacle.ledge_heigh
 def rung_point(
     obstacle: "Ladder", side: float, unit: Number, depth: Number, rung: Number, aside: Number, out: Number
 ) -> Float[Array, " 3"]:
-    """Return a foothold on a rung from chart coordinates: the rung, and `aside`, and `out` of the ladder's plane (rung
-    depths)."""
+    """Return a foothold on a rung (m), from the rung's number and distances `aside` and `out` of the ladder's plane."""
     return stack_point(side * aside * unit, obstacle.y_at_rung(rung) + depth, out * obstacle.rung_depth)
 
 
@@ -44,7 +43,7 @@ def base_along_ladder(
     obstacle: "Ladder", side: float, unit: Number, depth: Number, up: Number, out: Number, pitch: Number,
     more_ahead: Number = 0.0, more_out: Number = 0.0, more_pitch: Number = 0.0,
 ) -> Float[Array, " 3"]:  # fmt: skip
-    """Return a base position along the ladder from chart coordinates: `up` from below (rungs), `out` of its plane.
+    """Return a base position (m) `up` along the ladder (in rungs) and `out` of the ladder's plane.
 
     `more_ahead`, `more_out` and `more_pitch` move the base with the ladder's `ledge_extra_height`: shares of it along
     the ladder and out of its plane, and shares of the lean for every unit of it.
@@ -60,8 +59,7 @@ def base_over_ledge(
     obstacle: "Ladder", side: float, unit: Number, depth: Number, ahead: Number, above: Number, pitch: Number,
     more_ahead: Number = 0.0, more_out: Number = 0.0, more_pitch: Number = 0.0,
 ) -> Float[Array, " 3"]:  # fmt: skip
-    """Return a base position beyond and above the ledge's edge from chart coordinates; extra shares as in
-    `base_along_ladder`."""
+    """Return a base position (m) `ahead` of the ledge's edge and `above` it; `more_...` adapt it to a higher ledge."""
     out, back = more_out * obstacle.ledge_extra_height, (1 - more_ahead) * obstacle.ledge_extra_height
     angle = jnp.asarray(base_pitch(obstacle, unit, ahead, above, pitch, more_ahead, more_out, more_pitch))
     sin, cos = jnp.sin(angle), jnp.cos(angle)
@@ -73,12 +71,12 @@ def base_pitch(
     obstacle: "Ladder", unit: Number, one: Number, other: Number, pitch: Number,
     more_ahead: Number = 0.0, more_out: Number = 0.0, more_pitch: Number = 0.0,
 ) -> Number:  # fmt: skip
-    """Return the pitch (rad, nose up) of a base at chart coordinates along the ladder or over the ledge."""
+    """Return the pitch (rad, nose up) of a base along the ladder or over the ledge; `pitch` is a share of the lean."""
     return (pitch + more_pitch * obstacle.ledge_extra_height / unit) * obstacle.lean
 
 
 class LadderBars(NamedTuple):
-    """Boxes of a ladder's bars in its own axes: two rails, then the rungs from the lowest up."""
+    """Boxes of a ladder's two rails, then of its rungs from the lowest up, in the ladder's axes."""
 
     centre: Float[Array, "n 3"]  # m, from the mass centre
     half: Float[Array, "n 3"]  # m
@@ -86,7 +84,7 @@ class LadderBars(NamedTuple):
 
 @parameters
 class Ladder(ObstacleDefaults):
-    """A ladder of 25 kg with six rungs that leans at 75 degrees on a ledge 2.5 a_r high, free to slide and to turn.
+    """A ladder of 25 kg with six rungs that leans at 75 degrees on a ledge 2.625 m high, free to slide and to turn.
 
     Its lower ends touch the floor and its upper ends the wall. At the start it hangs free of both and falls."""
 
@@ -129,29 +127,28 @@ class Ladder(ObstacleDefaults):
 
     @property
     def mass_centre_distance(self) -> Array | float:
-        """Distance (m) of the mass centre from the lower ends of the rails, along the rails."""
+        """Distance (m) of the ladder's mass centre from the lower ends of its rails, along the rails."""
         rails, rungs = self._volumes()
         middle = (0.5 + 0.5 * self.rungs) * self.rung_step - self.rung_height / 2
         return (rails * self.length / 2 + rungs * middle) / (rails + rungs)
 
     @property
     def foot_distance(self) -> Array:
-        """Distance (m) of the lower end from the wall at the start."""
+        """Distance (m) of the ladder's lower end from the wall at the start."""
         return self.start().position[0, 1] + self.mass_centre_distance * jnp.cos(jnp.asarray(self.lean))
 
     @property
     def ledge_extra_height(self) -> Array | float:
-        """Height (m, along the ladder) of the ledge above its nominal height of `LEDGE_HEIGHT_RUNGS` rungs."""
+        """How much higher than nominal (`LEDGE_HEIGHT_RUNGS` rungs) the ledge is, in m along the ladder."""
         return self.ledge_height / jnp.sin(jnp.asarray(self.lean)) - LEDGE_HEIGHT_RUNGS * self.rung_step
 
     def y_at_rung(self, rungs: Array | float) -> Array | float:
-        """Return the coordinate y (m, ladder axes) at a height along the ladder in rungs; whole numbers are tops of
-        rungs."""
+        """Return the coordinate y (m, ladder axes) of a height given in rungs; whole numbers are tops of rungs."""
         return self.mass_centre_distance - rungs * self.rung_step
 
     @property
     def landmarks(self) -> Float[Array, "1 3"]:
-        """The observed point: the middle between the rails' lower ends (m, ladder axes)."""
+        """Point of the ladder that the robot observes: the middle between the rails' lower ends (m, ladder axes)."""
         return stack_point(0.0, self.mass_centre_distance, 0.0)[None]
 
     def _volumes(self) -> tuple[Array | float, Array | float]:
@@ -160,7 +157,7 @@ class Ladder(ObstacleDefaults):
         return rails, self.rungs * self.width * self.rung_height * self.rung_depth
 
     def bars(self) -> LadderBars:
-        """Return the boxes of rails and rungs, in the ladder's own axes."""
+        """Return the boxes of the ladder's rails and rungs, in the ladder's axes."""
         aside = (self.width + self.rail_breadth) / 2
         rail = stack_point(self.rail_breadth / 2, self.length / 2, self.rail_depth / 2)
         rung = stack_point(self.width / 2, self.rung_height / 2, self.rung_depth / 2)
@@ -220,7 +217,7 @@ class Ladder(ObstacleDefaults):
         }
 
     def start(self) -> FreeState:
-        """Return the start state of the ladder: at rest, `gap` away from floor and wall."""
+        """Return the ladder's state at the start: at rest, at a distance `gap` from floor and wall."""
         lean, edge = jnp.asarray(self.lean), self.rail_depth / 2
         sin, cos, zero = jnp.sin(lean), jnp.cos(lean), jnp.zeros_like(lean)
         y = self.gap + (self.length - self.mass_centre_distance) * cos + edge * sin
@@ -234,7 +231,7 @@ class Ladder(ObstacleDefaults):
         return BodyPoses(start.position, matrix(start.quat))
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """Return the solids: floor, ledge and bars; the ledge ends where no robot reaches."""
+        """Return floor, ledge and the ladder's bars as solids; the ledge ends where no robot reaches."""
         bars, ledge = self.bars(), self.ledge_height / 2
         place = bodies.position[0] + bars.centre @ bodies.rotation[0].T
         names = ("rail_right", "rail_left", *(f"rung{k}" for k in range(1, self.rungs + 1)))
@@ -254,7 +251,7 @@ class Ladder(ObstacleDefaults):
         )
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """Return the surface of the solid in which each point is deepest: floor, ledge or a bar.
+        """Return the contact surface at points: that of floor, ledge or bar, whichever contains the point most deeply.
 
         The ladder's own corners touch floor and wall only.
         """

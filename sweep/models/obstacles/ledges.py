@@ -29,8 +29,7 @@ FAR_LEDGE_CHART, _ = level_ground_charts(lambda obstacle: (obstacle.width, obsta
 def base_between(
     obstacle: "Ledges", side: float, unit: Number, depth: Number, ahead: Number, above: Number
 ) -> Float[Array, " 3"]:
-    """Return a base position between the ledges from chart coordinates: `ahead` of the ball's centre (R), `above` half
-    the ledges' height."""
+    """Return a base position (m) `ahead` of the ball's centre and `above` half the ledges' height."""
     return stack_point(ahead * obstacle.radius, 0.0, 0.5 * obstacle.height + above * unit)
 
 
@@ -73,19 +72,18 @@ class Ledges(Ball):
         return self.width - self.radius
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """Return the solids: floor, ball and ledges, which end where no robot reaches."""
+        """Return floor, ball and ledges as solids; the ledges end where no robot reaches."""
         half = (LEDGE_DEPTH_M / 2, LEDGE_BREADTH_M / 2, self.height / 2)
         near = Box(name="near_ledge", position=(-LEDGE_DEPTH_M / 2, 0.0, half[2]), half=half, colour=SOIL)
         far = Box(name="far_ledge", position=(self.width + LEDGE_DEPTH_M / 2, 0.0, half[2]), half=half, colour=SOIL)
         return *super().solids(bodies), near, far
 
     def depth_behind_walls(self, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
-        """Return the depths (m) of points behind the near wall and behind the far wall."""
+        """Return how deep points (m) lie behind the near wall, and how deep behind the far wall."""
         return jnp.stack([-points[:, 0], points[:, 0] - self.width], axis=-1)
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """Return the surface of floor, ball or a ledge, whichever is deepest; one site of the ball touches the floor,
-        the other a wall."""
+        """Return the contact surface at points: of floor, ball or ledge, whichever they are deepest in."""
         lies = super().surface(points, owner, bodies)
         assert lies.rolling is not None
         dtype, own = points.dtype, np.array(owner) >= 0

@@ -15,19 +15,19 @@ from sweep.models.solids import HalfSpace, Solid, array_module
 def ground_point(
     obstacle: "Plane", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
-    """Return a foothold on the ground from chart coordinates: `aside` and `ahead` of the world's origin."""
+    """Return a foothold on the ground (m) from its coordinates `aside` and `ahead` of the world's origin."""
     return obstacle.rotation() @ stack_point(ahead * unit, side * aside * unit, -depth)
 
 
 def base_over_ground(
     obstacle: "Plane", side: float, unit: Number, depth: Number, ahead: Number, above: Number, pitch: Number = 0.0
 ) -> Float[Array, " 3"]:
-    """Return a base position `above` the ground from chart coordinates, pitched against it (deg, nose up)."""
+    """Return a base position (m), `ahead` of the origin and `above` the ground, for a base pitched by `pitch` (deg)."""
     return obstacle.rotation() @ stack_point(ahead * unit, 0.0, above * unit)
 
 
 def base_pitch(obstacle: "Plane", unit: Number, ahead: Number, above: Number, pitch: Number = 0.0) -> Array:
-    """Return the pitch (rad, nose up) of a base at chart coordinates of `base_over_ground`."""
+    """Return the pitch (rad, nose up) of a base over ground that may slope, from its pitch against the ground (deg)."""
     return obstacle.slope + jnp.radians(jnp.asarray(pitch, float))
 
 
@@ -52,12 +52,12 @@ class Plane(StaticObstacle):
         return jnp.stack(rows)
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """Return the ground as a half-space."""
+        """Return the solid that the robot stands on: the half-space below the ground."""
         sin, cos = (getattr(array_module(self.slope), name)(self.slope) for name in ("sin", "cos"))
         return (HalfSpace(name="ground", normal=(-sin, 0.0, cos)),)
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """Return depth and normal of the plane under each point; the normal is the same everywhere."""
+        """Return the contact surface at points: their depth in the plane, and its normal, the same for all points."""
         normal = self.rotation()[:, 2].astype(points.dtype)
         n = points.shape[0]
         none = jnp.zeros(n, jnp.int32)

@@ -17,7 +17,7 @@ FLOOR, SIDE, TOP, LEDGE, WALL = range(5)
 def side_point(
     obstacle: "PoleLedge", side: float, unit: Number, depth: Number, ahead: Number, above: Number
 ) -> Float[Array, " 3"]:
-    """Return a foothold on the pole's side from chart coordinates: `ahead` of its axis (r), `above` its top."""
+    """Return a foothold on the pole's side (m), `ahead` of its axis (in pole radii) and `above` its top."""
     y = -ahead * obstacle.radius
     return stack_point(
         side * jnp.sqrt(jnp.asarray(obstacle.radius - depth) ** 2 - y**2), y, obstacle.height + above * unit
@@ -27,14 +27,14 @@ def side_point(
 def top_point(
     obstacle: "PoleLedge", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
-    """Return a foothold on the pole's top from chart coordinates: `aside` and `ahead` of its axis (r)."""
+    """Return a foothold on the pole's top (m), `aside` and `ahead` of its axis (in pole radii)."""
     return stack_point(side * aside * obstacle.radius, -ahead * obstacle.radius, obstacle.height - depth)
 
 
 def ledge_point(
     obstacle: "PoleLedge", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
-    """Return a foothold on the ledge from chart coordinates: `aside` of the middle (r), `ahead` of its edge."""
+    """Return a foothold on the ledge (m), `aside` of the middle (in pole radii) and `ahead` of the ledge's edge."""
     return stack_point(side * aside * obstacle.radius, -obstacle.radius - ahead * unit, obstacle.ledge_height - depth)
 
 
@@ -59,7 +59,7 @@ class PoleLedge(StaticObstacle):
     ledge_height: float = quantity(2.076660689865613, "m", above=0)  # h1, of the ledge above the floor
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """Return the solids: floor, pole and ledge, which ends where no robot reaches."""
+        """Return floor, pole and ledge as solids; the ledge ends where no robot reaches."""
         half, ledge = self.height / 2, self.ledge_height / 2
         return (
             HalfSpace(name="floor", normal=(0.0, 0.0, 1.0)),
@@ -68,8 +68,7 @@ class PoleLedge(StaticObstacle):
         )
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """Return the surface of the deepest of floor, pole and ledge at points; the depth in a solid is the least over
-        its faces."""
+        """Return the contact surface at points: of floor, pole or ledge, whichever contains the point most deeply."""
         x, y, z = points.T
         distance = jnp.sqrt(x**2 + y**2 + 1e-12)
         side, top = self.radius - distance, self.height - z

@@ -41,8 +41,7 @@ FAR_BANK_CHART, FAR_BANK_BASE_CHART = level_ground_charts(lambda obstacle: (obst
 
 @parameters
 class Raft(ObstacleDefaults):
-    """A floating box on still water between two banks, by default 3 by 2 by 0.2 times a_r, with its deck level with the
-    banks.
+    """A floating box on still water between two banks, by default 3.15 by 2.1 by 0.21 m, its deck level with the banks.
 
     At the start it rests, `gap` from the near bank.
     """
@@ -85,7 +84,7 @@ class Raft(ObstacleDefaults):
 
     @property
     def landmarks(self) -> Float[Array, "1 3"]:
-        """The observed point: the middle of the deck's corners (m, raft axes)."""
+        """Point of the raft that the robot observes: the middle of the deck's corners (m, raft axes)."""
         return self.half_size[None] * jnp.array([0.0, 0.0, 1.0])
 
     def draught(self, load: Array | float = 0.0) -> Array | float:
@@ -135,7 +134,7 @@ class Raft(ObstacleDefaults):
         return FreeState(jnp.stack([x, jnp.zeros_like(x), z])[None], jnp.array([[1.0, 0.0, 0.0, 0.0]]), still, still)
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """Return the solids: banks and raft; the banks end where no robot reaches."""
+        """Return banks and raft as solids; the banks end where no robot reaches."""
         bank = {"half": (BANK_LENGTH_M / 2, BANK_LENGTH_M / 2, 0.5), "colour": SOIL}
         return (
             Box(name="near_bank", position=(-BANK_LENGTH_M / 2, 0.0, -0.5), **bank),
@@ -171,7 +170,7 @@ class Raft(ObstacleDefaults):
         return -jnp.concatenate([plane * force, heading * torque])
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """Return the surface of banks or raft, whichever is deeper; the raft's edges touch the banks' walls."""
+        """Return the contact surface at points: of bank or raft, whichever contains the point more deeply."""
         dtype, own = points.dtype, np.array(owner) >= 0
         half = self.half_size.astype(dtype)
         beyond = jnp.stack([-points[:, 0], points[:, 0] - self.water_width], axis=-1)  # of each wall

@@ -36,7 +36,7 @@ class BodyPoses(NamedTuple):
 
 
 def body_poses(free: FreeState) -> BodyPoses:
-    """Return the poses in a state of free bodies, without velocities."""
+    """Return the poses of free bodies from their state, without the velocities."""
     return BodyPoses(free.position, matrix(free.quat))
 
 
@@ -46,12 +46,12 @@ def no_free_bodies() -> FreeState:
 
 
 def identity_poses(count: int) -> BodyPoses:
-    """Return poses of `count` free bodies at the origin without rotation, with which solids are given in body axes."""
+    """Return `count` body poses at the origin without rotation, to get an obstacle's solids in body axes."""
     return BodyPoses(jnp.zeros((count, 3)), jnp.asarray(np.tile(np.eye(3), (count, 1, 1))))
 
 
 class RollingResistance(NamedTuple):
-    """Rolling radius and resistance of n contact points that are centres of spheres; zeros for other points."""
+    """Radius and resistance moments of n contact points that are centres of rolling spheres; zeros for other points."""
 
     radius: Float[Array, " n"]  # m, of the sphere
     roll: Float[Array, " n"]  # m, moment against rolling over the normal force
@@ -59,7 +59,7 @@ class RollingResistance(NamedTuple):
 
 
 class Surface(NamedTuple):
-    """The surface nearest to each of n points (depth, normal, contact data), world axes; made by `Obstacle.surface`."""
+    """Surface of the obstacle nearest to each of n points: depth, normal and contact data, world axes."""
 
     depth: Float[Array, " n"]  # m, positive inside the solid, negative outside (speculative contact)
     normal: Float[Array, "n 3"]  # outward
@@ -87,7 +87,7 @@ class Obstacle(Protocol):
 
     @property
     def contact_sites(self) -> tuple[tuple[str, int], ...]:
-        """Names of the sites at which free bodies may touch the world, each with the index of its body.
+        """Names of the MuJoCo sites at which free bodies may touch the world, each with the index of its body.
 
         A body may touch in several places at once: a ball that meets a wall as it lies on the floor has two sites at
         its centre, which `surface` tells apart by their order.
@@ -112,8 +112,7 @@ class Obstacle(Protocol):
 
     @property
     def stood_on(self) -> tuple[str, ...]:
-        """Names of the size parameters that the robot can estimate from feet on free bodies; without free bodies, all
-        sizes."""
+        """Names of sizes that the robot can estimate from feet on free bodies; without free bodies, all sizes."""
         ...
 
     def add_to(self, spec: "mujoco.MjSpec", friction: float) -> None:
@@ -137,8 +136,7 @@ class Obstacle(Protocol):
         ...
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """Return the surface at points (m, world axes); `owner` is the free body to which a point belongs, -1 for the
-        robot."""
+        """Return the contact surface at points (m, world axes) of the free bodies `owner`, or (-1) of the robot."""
         ...
 
 
@@ -153,22 +151,21 @@ class MovingObstacle(Obstacle, Protocol):
 
 @runtime_checkable
 class LandmarkedObstacle(MovingObstacle, Protocol):
-    """An obstacle whose free bodies are observed by landmarks other than their mass centres."""
+    """An obstacle whose free bodies the robot observes by points (landmarks) other than their mass centres."""
 
     @property
     def landmarks(self) -> Float[Array, "k 3"]:
-        """The observed point of each free body (m, body axes, from the mass centre)."""
+        """Point of each free body that the robot observes (m, body axes, from the mass centre)."""
         ...
 
 
 def landmarks(obstacle: Obstacle) -> Float[Array, "k 3"]:
-    """Return the observed points of an obstacle's free bodies (m, body axes, from the mass centre); zeros by
-    default."""
+    """Return the observed point of each free body (m, body axes, from the mass centre); zeros by default."""
     return obstacle.landmarks if isinstance(obstacle, LandmarkedObstacle) else jnp.zeros((len(obstacle.free_bodies), 3))
 
 
 def landmark_state(obstacle: Obstacle, free: FreeState) -> FreeState:
-    """Convert a state of free bodies from mass centres to the observed points (landmarks).
+    """Convert poses and velocities of free bodies from their mass centres to the observed points (landmarks).
 
     Args:
         obstacle: The obstacle.
@@ -181,7 +178,7 @@ def landmark_state(obstacle: Obstacle, free: FreeState) -> FreeState:
 
 
 def state_from_landmarks(obstacle: Obstacle, marks: FreeState) -> FreeState:
-    """Convert a state of free bodies from observed points (landmarks) to mass centres, the inverse of `landmark_state`.
+    """Convert poses and velocities of free bodies from observed points (landmarks) to their mass centres.
 
     Args:
         obstacle: The obstacle.
@@ -207,7 +204,7 @@ def free_start_state(obstacle: Obstacle) -> FreeState:
 
 
 def surface_at(obstacle: Obstacle, points: Float[Array, "n 3"], bodies: BodyPoses) -> Surface:
-    """Return the obstacle's surface at points of the robot.
+    """Return the obstacle's contact surface (depth, normal, friction) at points of the robot.
 
     Args:
         obstacle: The obstacle.

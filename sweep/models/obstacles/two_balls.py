@@ -26,14 +26,13 @@ SECOND_BALL = BALL + 1
 def base_above_ball(
     obstacle: "TwoBalls", side: float, unit: Number, depth: Number, ahead: Number, above: Number
 ) -> Float[Array, " 3"]:
-    """Return a base position above a ball from chart coordinates: `ahead` of its centre (R), above its top."""
+    """Return a base position (m) `ahead` of a ball's centre (in radii) and `above` its top (in plan units)."""
     return stack_point(ahead * obstacle.radius, 0.0, obstacle.radius + above * unit)
 
 
 @parameters
 class TwoBalls(Ball):
-    """Two balls of 400 kg and radius 0.8 a_r, one ahead of the other; the first starts at the origin, at rest or
-    rolling."""
+    """Two balls of 400 kg and radius 0.84 m, one ahead of the other; the first starts at the origin."""
 
     charts: ClassVar = {
         **Ball.charts,
@@ -58,7 +57,7 @@ class TwoBalls(Ball):
         add_contact_pair(spec, "ball", "second_ball", friction * self.ball_grip, self.impact_damping)
 
     def batched_model_fields(self) -> dict[str, dict[str, Array]]:
-        """Return mass and inertia of both balls as MuJoCo model fields."""
+        """Return the MuJoCo model fields that hold mass and inertia of both balls, by field and body."""
         return {
             field: dict.fromkeys(self.free_bodies, of["ball"]) for field, of in super().batched_model_fields().items()
         }
@@ -74,13 +73,12 @@ class TwoBalls(Ball):
         return FreeState(*[jnp.concatenate(both) for both in zip(first, second, strict=True)])
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
-        """Return the solids: the floor and both balls."""
+        """Return the floor and both balls as solids."""
         second = Sphere(name="second_ball", radius=self.radius, centre=bodies.position[1], body=1)
         return *super().solids(bodies), second
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:
-        """Return the surface of floor or a ball, whichever is deepest; the second ball touches the floor and the first
-        ball."""
+        """Return the contact surface at points: of floor or a ball, whichever they are deepest in."""
         one = super().surface(points, owner, bodies)
         assert one.rolling is not None
         dtype, own = points.dtype, np.array(owner) >= 0

@@ -21,7 +21,7 @@ SURFACE_SHAPES = {
 
 
 def check_user_obstacle(obstacle: Obstacle) -> None:
-    """Raise `InputError` if solids, surface or a chart of the obstacle fail or return something of another form."""
+    """Raise `InputError` if a user's obstacle has members (solids, surface, charts) that fail or return wrong types."""
     bodies = identity_poses(len(obstacle.free_bodies))
 
     def call_checked(part: str, function: Callable[..., Any], *args: Any) -> Any:
