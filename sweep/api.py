@@ -76,7 +76,7 @@ def _load_columns(folder: Path, exp: Experiment, where: str | None, columns: Seq
 
 @dataclass(frozen=True)
 class HtmlPage:
-    """A page of HTML that a notebook shows in a frame, so that their styles do not mix."""
+    """A page of HTML that a notebook shows in a frame, so that the styles of page and notebook do not mix."""
 
     html: str
 

@@ -11,14 +11,14 @@ from sweep.study.designs import Axis
 
 
 class AxisPairs(NamedTuple):
-    """Result of comparing rows that differ in one axis alone, made by `compare_along_axes`."""
+    """Whether rows that differ in one varied parameter alone are equal in all metrics, and how many such rows exist."""
 
     rollouts: int  # rows that have such a partner
     are_equal: bool  # whether partners are equal in all metrics and labels, to the last bit
 
 
 def compare_along_axes(rows: pd.DataFrame, exp: Experiment) -> dict[str, AxisPairs]:
-    """Compare rows that differ in one axis and in nothing else, for each axis of a study.
+    """Test for each axis of a study whether rows that differ in this axis alone have equal metrics and labels.
 
     Args:
         rows: rows of the study.

@@ -13,7 +13,7 @@ from sweep.study.study import Expectation
 
 
 def unmet_expectations(expectations: tuple[Expectation, ...], rows: pd.DataFrame, exp: Experiment) -> list[str]:
-    """Return a line of text for each expectation that the rows do not meet.
+    """Return a line of text for each expectation (bound on the share of rows) that the rows of a study do not meet.
 
     Args:
         expectations: Conditions and the limits of their shares.

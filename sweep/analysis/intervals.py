@@ -57,7 +57,7 @@ def korn_graubard(
     rare_units: ArrayLike,
     level: float = CONFIDENCE_LEVEL,
 ) -> Interval:
-    """Compute the interval of a rate of trials that come in clusters, such as the replicates of a draw.
+    """Compute the interval of a success rate whose trials come in clusters, such as the replicates of a draw.
 
     It is Clopper and Pearson's interval at the effective number of independent trials (Korn and Graubard 1998): the
     variance is that between clusters, with a quantile of Student's t. If fewer than `MIN_UNITS_FOR_VARIANCE` clusters

@@ -32,12 +32,12 @@ class LeagueRows:
 
     @property
     def unit_count(self) -> int:
-        """Number of independent units; 0 if the points are not a random sample."""
+        """Number of independent units (rows that depend on each other); 0 if the points are not a random sample."""
         return 0 if self.unit is None else len(np.unique(self.unit))
 
 
 def sum_by_unit(success: np.ndarray, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Add the successes of each independent unit.
+    """Sum the successes of each policy over the points of each independent unit (rows that depend on each other).
 
     Args:
         success: Whether each policy succeeds at each point (n, policies).
@@ -103,7 +103,7 @@ def max_t_intervals(
 
 
 def pair_table(league: LeagueRows, level: float = CONFIDENCE_LEVEL) -> pd.DataFrame:
-    """Compare each pair of policies.
+    """Compare the success rates of each pair of policies by paired tests, corrected for the number of pairs.
 
     Args:
         league: Outcomes of the policies.
@@ -161,7 +161,7 @@ def _verdicts(table: pd.DataFrame, p_holm: np.ndarray, level: float) -> list[str
 
 
 def better_matrix(pairs: pd.DataFrame, policies: Sequence[str]) -> np.ndarray:
-    """Return which policies are better than which (policies, policies), from the verdicts of `pair_table`.
+    """Return a matrix (policies, policies): True where the policy of the row is decided to beat that of the column.
 
     Args:
         pairs: Pairs with their verdicts.
@@ -176,7 +176,7 @@ def better_matrix(pairs: pd.DataFrame, policies: Sequence[str]) -> np.ndarray:
 
 
 def standings(rates: pd.DataFrame, better: np.ndarray) -> pd.DataFrame:
-    """Sort policies by their rate and add the places that each may have.
+    """Sort policies by success rate, and add the ranks that the verdicts on pairs allow each policy.
 
     Args:
         rates: Table of `rate_table`.
@@ -195,7 +195,7 @@ def standings(rates: pd.DataFrame, better: np.ndarray) -> pd.DataFrame:
 
 
 def condition_table(league: LeagueRows, by: Sequence[str], level: float = CONFIDENCE_LEVEL) -> pd.DataFrame:
-    """Compute the rate of each policy at each condition, and which policies may be the best one there.
+    """Compute the success rate of each policy at each condition, and which policies may be the best one there.
 
     Args:
         league: Outcomes of the policies.
@@ -230,7 +230,7 @@ def condition_table(league: LeagueRows, by: Sequence[str], level: float = CONFID
 
 @dataclass
 class Race:
-    """A comparison of several policies that may be evaluated after every unit.
+    """A sequential comparison of several policies, whose verdicts hold whenever one looks or stops.
 
     Each pair has the e-process of `sequential.log_e_value` over the units that both policies have. Pairs are decided by
     Holm's procedure on the largest evidence so far. A pair that follows from decided ones (A beats B, B beats C) is
@@ -251,7 +251,7 @@ class Race:
         self.better = np.zeros(shape, bool)
 
     def add_units(self, shares: np.ndarray) -> None:
-        """Add units, and decide pairs after each of them.
+        """Add the success rates of independent units (rows that depend on each other), and decide pairs of policies.
 
         Args:
             shares: Success rate of each policy in each unit (u, policies), NaN where it has none.

@@ -38,14 +38,14 @@ IntervalFunction = Callable[[ArrayLike, ArrayLike, float], Interval]
 
 
 class CountLaw(NamedTuple):
-    """Counts with their probabilities, without the tails."""
+    """Possible numbers of successes with their probabilities, without extremely improbable numbers."""
 
     counts: np.ndarray  # (k,), consecutive whole numbers
     probability: np.ndarray  # (k,)
 
 
 def binomial_law(trials: int, probability: float) -> CountLaw:
-    """Return the binomial law without counts in its outermost tails.
+    """Return the binomial distribution of the number of successes, without its outermost tails.
 
     Args:
         trials: Number of trials.
@@ -59,7 +59,7 @@ def binomial_law(trials: int, probability: float) -> CountLaw:
 
 
 def find_smallest_size(meets_goal: Callable[[int], bool], start: int = 1, checked: int = CHECKED_SIZES) -> int:
-    """Find the smallest size of a study from which on it meets a goal.
+    """Find the smallest size of a study that meets a goal and above which every size meets it.
 
     The search doubles and bisects. It then passes over sizes whose successors miss the goal again.
 
@@ -91,7 +91,7 @@ def find_smallest_size(meets_goal: Callable[[int], bool], start: int = 1, checke
 def half_width_law(
     trials: int, rate: float, interval: IntervalFunction, level: float = CONFIDENCE_LEVEL
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the half-widths of the interval of a rate, with their probabilities.
+    """Return the possible half-widths of the confidence interval of a success rate, with their probabilities.
 
     Args:
         trials: Number of independent rollouts.
@@ -110,7 +110,7 @@ def half_width_law(
 def expected_half_width(
     trials: int, rate: float, interval: IntervalFunction = wilson, level: float = CONFIDENCE_LEVEL
 ) -> float:
-    """Return the mean half-width of the interval of a rate.
+    """Return the mean half-width of the confidence interval of a success rate.
 
     Args:
         trials: Number of independent rollouts.
@@ -129,7 +129,7 @@ def rollouts_for_half_width(
     interval: IntervalFunction = wilson,
     level: float = CONFIDENCE_LEVEL,
 ) -> int:
-    """Return the number of independent rollouts whose interval is narrow enough with a given probability.
+    """Return how many independent rollouts narrow the interval of a success rate enough with a given probability.
 
     Args:
         rate: True success rate.
@@ -147,7 +147,7 @@ def rollouts_for_half_width(
 
 
 def discordant_shares(a: float, b: float, correlation: float) -> tuple[float, float]:
-    """Return the shares of pairs in which only A, and only B, succeeds.
+    """Return the shares of pairs of rollouts in which only policy A, and only policy B, succeeds.
 
     Args:
         a: Success rate of A.
@@ -170,7 +170,7 @@ def discordant_shares(a: float, b: float, correlation: float) -> tuple[float, fl
 
 
 def mcnemar_power(pairs: int, lost: float, gained: float, level: float = CONFIDENCE_LEVEL) -> float:
-    """Return the power of McNemar's exact two-sided test.
+    """Return the power of McNemar's exact two-sided test of equal success rates, for paired rollouts.
 
     Args:
         pairs: Number of independent pairs.
@@ -189,7 +189,7 @@ def mcnemar_power(pairs: int, lost: float, gained: float, level: float = CONFIDE
 
 
 def unpaired_power(rollouts: int, a: float, b: float, level: float = CONFIDENCE_LEVEL) -> float:
-    """Return the power of the two-sided score test of equal rates, for independent rollouts of A and B.
+    """Return the power of the two-sided score test of equal success rates, for independent rollouts of A and B.
 
     The test compares the difference of the rates with its standard error at the pooled rate.
 
@@ -215,7 +215,7 @@ def unpaired_power(rollouts: int, a: float, b: float, level: float = CONFIDENCE_
 def pairs_until_decision(
     lost: float, gained: float, level: float = CONFIDENCE_LEVEL, repetitions: int = REPETITIONS
 ) -> tuple[float, float]:
-    """Simulate how many pairs `sweep compare --anytime` takes.
+    """Simulate how many pairs of rollouts the sequential test `sweep compare --anytime` needs until it decides.
 
     Args:
         lost: Share of pairs that succeed only in A.
@@ -241,7 +241,7 @@ def pairs_until_decision(
 
 
 def certification_power(draws: int, share: float, rate: float, failures: float, confidence: float) -> float:
-    """Return the probability that fresh draws certify a region.
+    """Return the probability that fresh draws certify that the failure probability of a region is low enough.
 
     Args:
         draws: Number of fresh draws.
@@ -258,7 +258,7 @@ def certification_power(draws: int, share: float, rate: float, failures: float, 
 
 
 class UnitCounts(NamedTuple):
-    """Successes and trials of each independent unit of a pilot study."""
+    """Successes and rollouts of each independent unit (rows that depend on each other) of a small first study."""
 
     won: np.ndarray  # (u,)
     trials: np.ndarray  # (u,)
@@ -266,7 +266,7 @@ class UnitCounts(NamedTuple):
 
 
 def count_units(success: np.ndarray, unit: np.ndarray, is_even: bool) -> UnitCounts:
-    """Count successes and trials of each unit.
+    """Count the successes and the rows of each independent unit (rows that depend on each other).
 
     Args:
         success: Whether each valid row succeeded (n,).
@@ -280,7 +280,7 @@ def count_units(success: np.ndarray, unit: np.ndarray, is_even: bool) -> UnitCou
 def simulated_half_widths(
     pilot: UnitCounts, units: int, level: float = CONFIDENCE_LEVEL, repetitions: int = REPETITIONS
 ) -> np.ndarray:
-    """Simulate the half-width of the interval of a rate, with units like those of a pilot study.
+    """Simulate half-widths of the interval of a success rate by resampling the units of a small pilot study.
 
     Each simulated study draws its units from the pilot's with replacement. Its interval is that of `sweep stats`:
     Student's t over units that are spread evenly, Korn and Graubard's over units of several rows, else Wilson's.
@@ -318,7 +318,7 @@ def simulated_half_widths(
 def units_for_half_width(
     pilot: UnitCounts, half_width: float, power: float = TEST_POWER, level: float = CONFIDENCE_LEVEL
 ) -> int:
-    """Return the number of units whose interval is narrow enough in a share `power` of simulated studies.
+    """Return how many independent units narrow a success rate's interval enough in a share `power` of simulations.
 
     Args:
         pilot: Units of the pilot study (u).
@@ -343,7 +343,7 @@ def units_for_half_width(
 def simulated_sign_flip_power(
     differences: np.ndarray, units: int, level: float = CONFIDENCE_LEVEL, repetitions: int = REPETITIONS
 ) -> float:
-    """Simulate the power of the paired test of `sweep compare`, with units like those of a pilot comparison.
+    """Simulate the power of the paired test of `sweep compare` by resampling the units of a small pilot comparison.
 
     Args:
         differences: Successes of A minus successes of B in each unit of the pilot (u,), whole numbers.

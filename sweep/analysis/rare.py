@@ -66,8 +66,7 @@ def failure_modes(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
 
 
 def weights_of_draws_and_failures(rows: pd.DataFrame, exp: Experiment) -> tuple[np.ndarray, np.ndarray]:
-    """Return two weights of each row (n,): its weight as a draw from the nominal distribution, and its weight as a
-    failure.
+    """Return the weights (n,) of rows as draws of the nominal distribution, and those of failures in their probability.
 
     The weights of failures sum to the failure probability, up to a factor.
 

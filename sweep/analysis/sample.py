@@ -28,7 +28,7 @@ def sample_indices(number: int, most: int) -> np.ndarray:
 
 
 def drop_repeated_rollouts(rows: pd.DataFrame, exp: Experiment) -> tuple[pd.DataFrame, str]:
-    """Drop rows that repeat a noise-free rollout, because they carry no evidence of their own.
+    """Drop rows that repeat a noise-free rollout; return the other rows and a sentence that counts the dropped ones.
 
     Replicates of a point without random errors are copies of the first one.
 

@@ -69,7 +69,7 @@ def unit_numbers(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
 
 
 def has_dependent_draws(study: Study) -> bool:
-    """Return whether several draws of a unit, such as those of a pair, may be alike: they are no independent evidence.
+    """Return whether the draws of a study come in groups, such as trajectories, whose draws may be alike.
 
     False where the design spreads the draws of a unit more evenly than independent ones, and where one draw of each
     unit is a plain sample.
@@ -81,7 +81,7 @@ def has_dependent_draws(study: Study) -> bool:
 
 
 def interval_units(rows: pd.DataFrame, exp: Experiment) -> np.ndarray:
-    """Return the number of the unit of each row by which `stats.success_rates` and resampling group rows.
+    """Return for each row (n,) the number of the group of rows that confidence intervals treat as one observation.
 
     Args:
         rows: Rows of a study (n), with the column `replicate`.
@@ -134,13 +134,13 @@ def has_independent_rows(rows: pd.DataFrame, exp: Experiment) -> bool:
 
 
 def interval_method(study: Study) -> str:
-    """Return the name of the method by which `condition_rates` computes intervals, for titles and captions."""
+    """Return the name of the method that computes the intervals of a study's success rates, for captions."""
     unit = independent_unit(study)
     return f"Student's t over {unit.plural}" if unit.is_even and not study.budget else draw_interval_method(study)
 
 
 def draw_interval_method(study: Study) -> str:
-    """Name the method of the intervals of `stats.success_rates` by `interval_units`, for captions."""
+    """Return the name of the interval method for success rates whose rows are grouped by draw, for captions."""
     if study.budget:
         return "confidence sequence"
     if has_dependent_draws(study):

@@ -20,8 +20,7 @@ TEST_POWER = 0.9  # of the test of fixed size, printed for comparison
 
 
 def log_e_value(lost: ArrayLike, gained: ArrayLike) -> np.ndarray:
-    """Return the log of the e-value, the evidence against equal success rates, after counts of pairs won by either
-    run."""
+    """Return the log of the e-value, the evidence against equal success rates, from the pairs that only A or B won."""
     from scipy.special import betaln  # slow to import
 
     b, c = np.asarray(lost, float), np.asarray(gained, float)

@@ -15,7 +15,7 @@ MIN_CONDITIONS = 4  # for the interval of a correlation
 
 @dataclass(frozen=True)
 class Calibration:
-    """How well predicted rates agree with the outcomes of trials."""
+    """How well predicted success rates agree with the outcomes of real trials."""
 
     trials: int
     brier: float  # mean squared error of the predicted rate: 0 is perfect, 0.25 a coin
@@ -28,7 +28,7 @@ class Calibration:
 
 
 def calibration(predicted: np.ndarray, success: np.ndarray, level: float = CONFIDENCE_LEVEL) -> Calibration:
-    """Compare predicted success rates with outcomes (Brier 1950; Spiegelhalter 1986).
+    """Compare predicted success rates with outcomes of real trials by Brier score (Brier 1950; Spiegelhalter 1986).
 
     Args:
         predicted: Predicted success rate of each trial (n,), between 0 and 1.
@@ -57,7 +57,7 @@ def calibration(predicted: np.ndarray, success: np.ndarray, level: float = CONFI
 def reliability_curve(
     predicted: np.ndarray, success: np.ndarray, bins: int = RELIABILITY_BINS, level: float = CONFIDENCE_LEVEL
 ) -> pd.DataFrame:
-    """Compare the observed with the predicted success rate, from the smallest prediction to the largest.
+    """Compare observed with predicted success rates of real trials in bins of increasing predicted rate.
 
     Args:
         predicted: Predicted success rate of each trial (n,).
@@ -100,7 +100,7 @@ def condition_correlation(
 
 
 def belief_weights(simulated: np.ndarray, success: np.ndarray, error_rate: float) -> np.ndarray:
-    """Weigh simulated draws by the likelihood of the trials.
+    """Weigh simulated parameter draws by the likelihood of the outcomes of real trials.
 
     A trial ends as the simulation of the true parameters says, except with probability `error_rate`.
 
@@ -119,12 +119,12 @@ def belief_weights(simulated: np.ndarray, success: np.ndarray, error_rate: float
 
 
 def effective_draws(weights: np.ndarray) -> float:
-    """Return the effective number of draws of weights (draws,): as many equal ones are as accurate (Kish)."""
+    """Return the effective sample size of weighted draws (Kish): as many draws of equal weight are as accurate."""
     return float(weights.sum() ** 2 / np.sum(weights**2))
 
 
 def belief_table(values: pd.DataFrame, weights: np.ndarray) -> pd.DataFrame:
-    """Compare the distribution of each parameter before and after the trials.
+    """Compare mean and spread of each parameter before and after weighing its draws by the outcomes of real trials.
 
     Args:
         values: Parameters of the draws, a column each (draws,).

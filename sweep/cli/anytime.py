@@ -16,7 +16,7 @@ from sweep.study.study import name_axes
 
 
 def compare_anytime(args: argparse.Namespace, by: list[str] | None) -> sequential.SequentialResult:
-    """Compare stored rows; with `--most`, simulate more draws in both folders until the comparison is decided.
+    """Compare the success rates of two folders sequentially; with `--most`, simulate more draws until it is decided.
 
     Both folders grow by a batch of A at a time, or a quarter of their draws, to at most `--most` draws. Raises
     `InputError`.
@@ -62,7 +62,7 @@ def compare_anytime(args: argparse.Namespace, by: list[str] | None) -> sequentia
 
 
 def next_draw_count(exp: Experiment, folder: Path, draws: int | None = None) -> int:
-    """Return to how many draws a study grows next: by a batch, or by a quarter of its draws.
+    """Return the next, larger number of draws of a study: one batch or a quarter of its draws more.
 
     Args:
         exp: Experiment of the study.
@@ -76,7 +76,7 @@ def next_draw_count(exp: Experiment, folder: Path, draws: int | None = None) -> 
 
 
 def grow_folder(exp: Experiment, folder: Path, draws: int) -> Experiment:
-    """Simulate more draws of a study, with a progress line.
+    """Simulate more draws of a study in its folder, with a progress line; return the larger experiment.
 
     Args:
         exp: Experiment of the study.

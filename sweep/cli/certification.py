@@ -28,7 +28,7 @@ CHECK_ROLLOUTS = 64  # rollouts of either kind that are run as a check of a cert
 
 
 def certify_region(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
-    """Certify a region; return a text and plain values. Raises `InputError`.
+    """Certify a region of few failures; return the printed text and its values for JSON. Raises `InputError`.
 
     With `--rollouts`, all rows of the folder order the candidate regions and fresh draws test them; without it, half of
     the rows does each. Fresh draws are a study in a folder of its own, so that the same command continues it.

@@ -203,7 +203,7 @@ def check_axes(exp: Experiment, points: pd.DataFrame) -> int:
 
 
 def iterate_jobs(exp: Experiment, folder: Path, first: pd.DataFrame, whole: bool) -> Iterable[runner.Job]:
-    """Yield the jobs of a study: one for each round if results decide what runs next, else a single one."""
+    """Yield the jobs (batches to simulate) of a study: one for each round if results decide what runs next, or one."""
     if whole and exp.study.is_refined:
         return refine.iter_jobs(exp, folder, first)
     return (
@@ -281,7 +281,10 @@ def expectation_exit_code(exp: Experiment, rows: pd.DataFrame, complete: bool) -
 
 
 def summarize_study(exp: Experiment, rows: pd.DataFrame) -> str:
-    """Summarise a study as text: headline, causes, and success rates by named parameter; copies count once."""
+    """Summarise a study as text: headline, causes, and success rates by categorical parameter.
+
+    Repeated noise-free rollouts count once.
+    """
     rows, copies = drop_repeated_rollouts(rows, exp)
     lines = [f"{exp.study.name}: {study_headline(rows, exp)}"]
     lines += [f"  {line}" for line in cause_lines(rows["cause"], exp.system.cause_meanings(exp.thresholds))]
@@ -339,7 +342,7 @@ def seconds_per_rollout(folder: Path, job: runner.Job) -> float | None:
 
 
 def axes_table(exp: Experiment) -> str:
-    """Return a Markdown table of the study's axes: parameter, side, values, unit and nominal value."""
+    """Return a Markdown table of the study's axes: parameter, side (world or belief), values, unit, nominal value."""
     lines = [
         [
             axis.name,

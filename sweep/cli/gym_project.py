@@ -97,7 +97,7 @@ study:
 
 
 def project_files(task: str, policy: Path | None) -> dict[str, bytes]:
-    """Return the content of each file of the project, by its path there.
+    """Return the files of a project that simulates a gymnasium task, as content by path.
 
     Args:
         task: Name of the task.

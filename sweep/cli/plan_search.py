@@ -164,7 +164,7 @@ def searched_ranges(exp: Experiment) -> dict[str, list[float]]:
 def select_influential_sizes(
     exp: Experiment, score: PlanScore, numbers: np.ndarray, draws: Case, sizes: Mapping[str, float]
 ) -> dict[str, float]:
-    """Select the drawn sizes whose range changes some margin of the plan.
+    """Select the sizes of robot and obstacle whose drawn range changes some margin of the plan.
 
     Slopes along other sizes, such as masses without forces, would be chance and extrapolate badly. Raises `InputError`
     where no size matters.
@@ -286,7 +286,7 @@ def tuned_plan_content(case: Case, changes: Mapping[str, float]) -> Content:
 
 
 def add_size_slopes(content: Content, paths: Iterable[str], slopes: np.ndarray, sizes: Mapping[str, float]) -> Content:
-    """Add to a plan's content by how much the number at each path changes per unit of each size."""
+    """Add to a plan's content by how much each of its numbers changes with each size of robot or obstacle."""
     if not sizes:
         return content
     part = {**content.get(SLOPES, {})}

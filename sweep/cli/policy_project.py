@@ -39,7 +39,7 @@ study:
 
 
 def project_files(policy: Path, mjcf: Path, preset: str) -> dict[str, bytes]:
-    """Return the content of each file of the project, by its path there.
+    """Return the files of a project that runs a learned policy on a MuJoCo model, as content by path.
 
     Args:
         policy: The network's file.

@@ -25,7 +25,7 @@ WON = "won by policy {}"  # column of paired rows
 
 
 def read_league(args: argparse.Namespace, by: list[str]) -> tuple[LeagueRows, str, list[str]]:
-    """Read and pair the rows of all policies.
+    """Read the rows of all policies that `sweep league` compares, and pair those of equal points.
 
     Args:
         args: Arguments of the command.
@@ -48,7 +48,7 @@ def read_league(args: argparse.Namespace, by: list[str]) -> tuple[LeagueRows, st
 
 
 def read_policies(args: argparse.Namespace) -> tuple[Experiment, dict[str, pd.DataFrame], list[str] | None]:
-    """Read the rows of each policy.
+    """Read the rows of each policy: from a folder for each, or by the values of an axis in one folder.
 
     Returns:
         The experiment of the first one, rows by the name of the policy, and the columns by which rows are paired; None
@@ -83,13 +83,13 @@ def format_policy(value: object) -> str:
 
 
 def name_folders(folders: Sequence[Path]) -> list[str]:
-    """Return the shortest different names of folders."""
+    """Return the shortest names that tell the folders apart."""
     names = [folder.name for folder in folders]
     return names if len(set(names)) == len(names) else [str(folder) for folder in folders]
 
 
 def needed_columns(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return the columns that place a row and tell its outcome."""
+    """Return the rows with only the columns that identify them (point, parameters) and hold their outcome."""
     known = {*identity_columns(rows.columns), *parameter_columns(rows), *LABEL_COLUMNS, "replicate"}
     kept = rows[[c for c in rows if c in known]]
     kept.attrs.update(rows.attrs)
@@ -97,7 +97,7 @@ def needed_columns(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def pair_policies(rows: dict[str, pd.DataFrame], key: list[str] | None) -> pd.DataFrame:
-    """Join the rows of all policies.
+    """Return the rows of the first policy that all others have, too, with a column for the outcome of each policy.
 
     Args:
         rows: Rows by the name of the policy.
@@ -121,7 +121,7 @@ def pair_policies(rows: dict[str, pd.DataFrame], key: list[str] | None) -> pd.Da
 
 
 def collect_outcomes(paired: pd.DataFrame, policies: tuple[str, ...], exp: Experiment) -> LeagueRows:
-    """Return the outcomes of paired rows that are valid for all policies.
+    """Return the outcomes of all policies at the points where the rollout of every policy is valid.
 
     Args:
         paired: Rows of `pair_policies`.
@@ -144,7 +144,7 @@ def collect_outcomes(paired: pd.DataFrame, policies: tuple[str, ...], exp: Exper
 
 
 def race_policies(args: argparse.Namespace) -> str:
-    """Decide pairs of policies, with `--most` by simulating more draws of those that are not decided.
+    """Compare policies sequentially and return the state as text; with `--most`, simulate more draws until decided.
 
     A folder grows by a batch or a quarter of its draws at a time. Folders whose policy has no open pair stay as they
     are. Raises `InputError`.
@@ -180,7 +180,7 @@ def race_policies(args: argparse.Namespace) -> str:
 
 
 def unit_shares(rows: list[pd.DataFrame], exps: list[Experiment]) -> np.ndarray:
-    """Return the success rate of each policy in each independent unit.
+    """Return the success rate of each policy in each independent unit (rows that depend on each other).
 
     Args:
         rows: Rows of each policy.

@@ -23,7 +23,7 @@ MATCH_TOLERANCE = 1e-9  # relative, of numbers of conditions that are equal
 
 @dataclass(frozen=True)
 class TrialsAnswer:
-    """Trials with predicted rates, and what follows from them."""
+    """Result of `sweep trials`: real trials with predicted success rates, their calibration, and updated beliefs."""
 
     trials: pd.DataFrame  # the file's columns, `predicted` and `rows`
     calibration: analysis.Calibration
@@ -36,7 +36,7 @@ class TrialsAnswer:
 
 
 def read_trials(file: Path, rows: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
-    """Read trials and the columns of their conditions.
+    """Read a CSV file of real trials; return the trials, and the names of the columns that are conditions.
 
     Args:
         file: CSV file.
@@ -66,7 +66,7 @@ def read_trials(file: Path, rows: pd.DataFrame) -> tuple[pd.DataFrame, list[str]
 
 
 def match_condition(rows: pd.DataFrame, condition: pd.Series) -> np.ndarray:
-    """Return which rows (n,) have the values of a condition.
+    """Return which simulated rows (n,) have the parameter values of a condition.
 
     Args:
         rows: Rows of a study.
@@ -82,7 +82,7 @@ def match_condition(rows: pd.DataFrame, condition: pd.Series) -> np.ndarray:
 
 
 def compare_trials(file: Path, folder: Path, error_rate: float) -> TrialsAnswer:
-    """Predict each trial from the simulated rows of its condition, and weigh the draws by the trials.
+    """Predict each real trial from simulated rows of equal condition, and weigh parameter draws by the outcomes.
 
     Args:
         file: CSV file of trials.
@@ -136,7 +136,7 @@ def compare_trials(file: Path, folder: Path, error_rate: float) -> TrialsAnswer:
 
 
 def format_trials(found: TrialsAnswer) -> str:
-    """Format the comparison as Markdown."""
+    """Format the comparison of real trials with their predictions as Markdown."""
     own = found.calibration
     judged = "the predictions are not calibrated" if own.p_value < 0.05 else "no evidence against calibration"
     interval = "" if np.isnan(own.brier_low) else f" (95 % interval {own.brier_low:.3f} to {own.brier_high:.3f})"

@@ -113,7 +113,7 @@ def _format_pair(there: float, here: float) -> str:
 
 
 def format_summary(table: pd.DataFrame, tolerance: float) -> str:
-    """Summarise comparisons of `compare_row` in a sentence."""
+    """Summarise in a sentence how many rows simulated again are equal to the stored ones and how many differ."""
     equal, changed = int(table["equal"].sum()), int((table["changed"] != "").sum())
     return (
         f"{len(table)} rollouts simulated again: {equal} equal to the last bit, {len(table) - equal - changed} within "

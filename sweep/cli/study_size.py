@@ -35,7 +35,7 @@ NUMBERS = {"rate": 1, "difference": 2, "rare": 1, "region": 1}  # expected proba
 
 @dataclass(frozen=True)
 class SizeAnswer:
-    """The smallest size of a study that answers a question, and what other sizes reach."""
+    """Result of `sweep power`: the smallest study that answers a question, and what studies of other sizes reach."""
 
     question: str  # in words
     size: int  # independent units, or pairs of them
@@ -54,14 +54,14 @@ class SizeAnswer:
         return round(self.size * self.rollouts_per_unit)
 
     def values(self, factors: Any) -> pd.DataFrame:
-        """Return sizes, rollouts and values of studies that are `factors` times as large as the answer."""
+        """Return a table of studies `factors` times as large: units, rollouts, and the value of the goal."""
         sizes = sorted({max(round(self.size * factor), 2) for factor in factors})
         rollouts = [round(size * self.rollouts_per_unit) for size in sizes]
         return pd.DataFrame({self.unit: sizes, "rollouts": rollouts, self.goal: [self.value(n) for n in sizes]})
 
 
 def answer_question(args: argparse.Namespace) -> SizeAnswer:
-    """Compute the number of rollouts. Raises `InputError` where a number is missing or not allowed."""
+    """Compute how many rollouts the question of `sweep power` needs. Raises `InputError` for a wrong number."""
     options = read_options(args)
     for key in ("power", "level"):
         check_share(f"--{key}", getattr(args, key))
@@ -79,7 +79,7 @@ def answer_question(args: argparse.Namespace) -> SizeAnswer:
 
 
 def read_options(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the options of the question with their values. Raises `InputError` where one is of another question."""
+    """Return the options that belong to the question of `sweep power`. Raises `InputError` for those of another one."""
     every = {key: question for question, keys in OPTIONS.items() for key in keys}
     for key, question in every.items():
         if getattr(args, key) not in (None, False) and question != args.question:
@@ -105,7 +105,7 @@ def check_share(name: str, value: float) -> None:
 
 
 def answer_from_guess(args: argparse.Namespace, options: dict[str, Any]) -> SizeAnswer:
-    """Answer from guessed probabilities, for independent rollouts."""
+    """Compute the size of a study of independent rollouts from guessed probabilities of success or failure."""
     p, level, wanted = args.expected[0], args.level, args.power
     sure = f"in {format_percent(wanted)} of studies"
     if args.question == "rate":
@@ -143,7 +143,7 @@ def answer_from_guess(args: argparse.Namespace, options: dict[str, Any]) -> Size
 
 
 def answer_difference(args: argparse.Namespace, options: dict[str, Any]) -> SizeAnswer:
-    """Answer for two policies with guessed rates. Raises `InputError` where the rates are equal."""
+    """Compute how many rollouts tell two policies of guessed success rates apart. Raises `InputError` if equal."""
     (a, b), level, wanted = args.expected, args.level, args.power
     if a == b:
         raise InputError(f"P = {a:g} {b:g} is not allowed: equal rates need infinitely many rollouts")
@@ -167,7 +167,7 @@ def answer_difference(args: argparse.Namespace, options: dict[str, Any]) -> Size
 
 
 def anytime_note(lost: float, gained: float, level: float) -> str:
-    """Say how many pairs the sequential test takes."""
+    """State how many pairs of rollouts the sequential test `sweep compare --anytime` needs until it decides."""
     median, most = power.pairs_until_decision(lost, gained, level)
     return (
         f"`sweep compare --anytime`, which stops by itself, takes {median:.0f} pairs (median), "
@@ -176,7 +176,7 @@ def anytime_note(lost: float, gained: float, level: float) -> str:
 
 
 def answer_from_pilot(args: argparse.Namespace, options: dict[str, Any]) -> SizeAnswer:
-    """Answer from the rows of one or two pilot studies, with the independent unit of their design."""
+    """Compute the size of a study by resampling the independent units of one or two small pilot studies."""
     wanted = 2 if args.question == "difference" else 1
     if args.question not in ("rate", "difference") or len(args.pilot) != wanted:
         raise InputError("--pilot takes one folder for `sweep power rate`, two for `sweep power difference`")
@@ -198,14 +198,14 @@ def measured_seconds(folders: list[Path]) -> float | None:
 
 
 def refuse_chosen_points(folder: Path) -> InputError:
-    """Return the error of a pilot whose rows are not a random sample."""
+    """Return the error for a pilot study whose rows are not a random sample."""
     return InputError(f"--pilot = {folder} is not allowed: its points are no random draws, so that rates have no error")
 
 
 def answer_pilot_rate(
     args: argparse.Namespace, goal: float, exp: Experiment, rows: pd.DataFrame, seconds: float | None
 ) -> SizeAnswer:
-    """Answer how many units of a pilot's design narrow the interval of its rate."""
+    """Compute how many units like those of a pilot study narrow the interval of its success rate enough."""
     unit = sampling_units.unit_numbers(rows, exp)
     if unit is None or exp.study.is_sequential:
         raise refuse_chosen_points(args.pilot[0])
@@ -228,7 +228,7 @@ def answer_pilot_rate(
 def answer_pilot_difference(
     args: argparse.Namespace, exp: Experiment, pairs: pd.DataFrame, seconds: float | None
 ) -> SizeAnswer:
-    """Answer how many units of two pilots' design tell which is better, if their difference is the true one."""
+    """Compute how many units like those of two pilot studies show which of two policies is better."""
     unit = compare.unit_numbers_of_pairs(pairs, exp)
     if unit is None:
         raise refuse_chosen_points(args.pilot[0])
@@ -254,12 +254,12 @@ def answer_pilot_difference(
 
 
 def pilot_notes(units: int) -> tuple[str, ...]:
-    """Warn of a small pilot."""
+    """Return a warning if a pilot study has few independent units, else an empty tuple."""
     return (f"{units} units are few: the answer may be off by half",) if units < 100 else ()
 
 
 def format_answer(answer: SizeAnswer) -> str:
-    """Format an answer as Markdown."""
+    """Format the result of `sweep power` as Markdown: rollouts, method, table of sizes, and duration."""
     table = answer.values(TABLE_FACTORS)
     table = table.loc[:, ~table.columns.duplicated()]
     shown = table.assign(**{answer.goal: [format_percent(v) for v in table[answer.goal]]})
@@ -276,7 +276,7 @@ def format_answer(answer: SizeAnswer) -> str:
 
 
 def duration_text(answer: SizeAnswer) -> str:
-    """Say how long the study takes at the known speed."""
+    """State how long the study takes (s) at the measured or given wall time per rollout."""
     if answer.seconds is None:
         return "duration unknown: give --pilot, or --seconds of a rollout (`sweep bench` measures them)"
     total = answer.rollouts * answer.seconds
@@ -284,7 +284,7 @@ def duration_text(answer: SizeAnswer) -> str:
 
 
 def answer_data(answer: SizeAnswer) -> dict[str, Any]:
-    """Convert an answer to plain values for JSON."""
+    """Convert the result of `sweep power` to plain values for JSON."""
     return {
         "question": answer.question,
         "rollouts": answer.rollouts,
@@ -298,7 +298,7 @@ def answer_data(answer: SizeAnswer) -> dict[str, Any]:
 
 
 def save_picture(answer: SizeAnswer, path: Path) -> None:
-    """Draw the goal by the number of rollouts, with the smallest sufficient study."""
+    """Draw the quantity to reach, such as power, over the number of rollouts, and mark the smallest study."""
     table = answer.values(CURVE_FACTORS)
     figure = new_figure(0.62 * COLUMN_WIDTH_IN, COLUMN_WIDTH_IN)
     ax = figure.add_subplot()

@@ -73,7 +73,7 @@ class Experiment:
 
     @property
     def case(self) -> Any:
-        """The nominal world and belief, of the type that the system defines."""
+        """The nominal parameters of the simulated world and of the controller's belief about it."""
         return self.system.case
 
     @property

@@ -48,7 +48,7 @@ class GroupFileSource(ConfigSource):
         return SOURCE_SCHEME
 
     def available(self) -> bool:
-        """Return True: the source can always be read."""
+        """Return whether Hydra can read this source: always True."""
         return True
 
     def is_group(self, config_path: str) -> bool:
@@ -61,7 +61,7 @@ class GroupFileSource(ConfigSource):
         return group in GROUPS and (project.find_file(group, name) is not None or find_schema(group, name) is not None)
 
     def list(self, config_path: str, results_filter: ObjectType | None) -> list[str]:
-        """List the choices of a group."""
+        """List the names of all files and kinds that a configuration group allows."""
         if results_filter == ObjectType.GROUP:
             return []
         return choice_names(config_path)
@@ -346,7 +346,7 @@ def resolve_relative_to_file(file: Any, name: Any) -> Any:
 
 
 def choice_names(group: str) -> list[str]:
-    """List the choices of a group: files of the project, shipped files, and kinds."""
+    """List the names that a configuration group allows: files of the project, shipped files, kinds of its classes."""
     return sorted({*project.project_files(group), *project.shipped_files(group), *_kinds(group)})
 
 

@@ -9,7 +9,7 @@ FORCE_COLOR = (0.90, 0.62, 0.0)  # red, green, blue
 
 
 def arrow_tips(position: np.ndarray, force: np.ndarray, longest: float = np.inf) -> np.ndarray:
-    """Return the tips of force arrows.
+    """Return the end points of arrows that show forces, in m.
 
     Args:
         position: Starts of the arrows (..., 3), m.

@@ -9,7 +9,7 @@ HULL_DIRECTIONS = 40  # directions along which a simplified hull has its farthes
 
 
 def geom_hull(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, list[list[int]]]:
-    """Return the convex hull of an ellipsoid or a mesh.
+    """Return the convex hull of an ellipsoid or mesh geom: vertices (m) and faces.
 
     For a mesh this is MuJoCo's hull, or one with fewer faces where that is missing or has more than `MAX_FACES`.
 

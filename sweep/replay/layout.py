@@ -12,7 +12,7 @@ _EFFORT = '/joint_states.joints[:]{{name=="{}"}}.effort'
 
 
 def foxglove_layout(trace: Trace) -> dict[str, Any]:
-    """Return a Foxglove layout for a trace, as its "import from file" reads it.
+    """Return a layout of Foxglove panels for a recorded rollout, as its "import from file" reads it.
 
     It has a 3D view that follows the base, and panels of torques, foot loads, stages and outcome.
     """

@@ -48,7 +48,7 @@ _STAGE_SCHEMA = {
 
 
 def write_mcap(path: str | Path, trace: Trace, config: Mapping[str, Any], outcome: Mapping[str, Any]) -> None:
-    """Write a trace as an MCAP file, and a Foxglove layout beside it (`<name>.layout.json`).
+    """Write a recorded rollout as an MCAP file, and a Foxglove layout beside it (`<name>.layout.json`).
 
     Only finite frames are written. Log times are simulated time. The same input gives the same bytes.
 

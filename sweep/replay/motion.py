@@ -39,7 +39,7 @@ SHAPES = {
 
 
 def encode_motion(trace: Trace) -> dict[str, Any]:
-    """Encode the finite frames of a trace as plain values for JSON.
+    """Encode the finite frames of a recorded rollout as plain values for JSON.
 
     Returns:
         `states`, the encoded stream in base64, at most `MAX_CHARACTERS`, for which frames are dropped if necessary;
@@ -107,7 +107,7 @@ def thin_motion(motion: dict[str, Any], every: int) -> dict[str, Any]:
 
 
 def encode_states(states: np.ndarray, small: np.ndarray) -> str:
-    """Encode states, two-byte and one-byte integers (F, K) each, as text."""
+    """Encode recorded states, F frames of two-byte and of one-byte integers, as text."""
     return encode_text(encode_byte_planes(states) + encode_byte_planes(small))
 
 
@@ -126,7 +126,7 @@ def encode_byte_planes(values: np.ndarray) -> bytes:
 
 
 def decode_byte_planes(content: bytes, frames: int, kind: np.dtype) -> np.ndarray:
-    """Decode integers (frames, K) of type `kind` from `encode_byte_planes`."""
+    """Decode the bytes of `encode_byte_planes` into integers (frames, K) of type `kind`."""
     size = kind.itemsize
     change = np.frombuffer(content, np.uint8).reshape(-1, size, frames).transpose(0, 2, 1)
     change = np.ascontiguousarray(change).view(f"<i{size}")[..., 0]
@@ -214,7 +214,7 @@ def describe_joint(model: mujoco.MjModel, number: int) -> list[float]:
 
 
 def describe_geom_shape(model: mujoco.MjModel, geom: int, way: np.ndarray | None = None) -> dict[str, Any]:
-    """Describe shape and size of a geom for the page; geoms without a shape on the page by their convex hull.
+    """Describe shape and size (m) of a geom for the page; shapes that the page cannot draw become their convex hull.
 
     Args:
         model: The MuJoCo model.
@@ -231,7 +231,7 @@ def describe_geom_shape(model: mujoco.MjModel, geom: int, way: np.ndarray | None
 
 
 def describe_height_field(model: mujoco.MjModel, geom: int, way: np.ndarray | None) -> dict[str, Any]:
-    """Describe a fixed height field by the coordinates and heights of its points.
+    """Describe a fixed height field by the coordinates and heights (m) of its points in the geom's axes.
 
     Args:
         model: The MuJoCo model.

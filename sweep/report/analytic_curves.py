@@ -12,8 +12,7 @@ LINE_STYLES = ("--", "-.", ":")
 
 
 def limit_curve(theory: AnalyticParameterLimit, exp: Experiment, rows: pd.DataFrame, along: str) -> pd.DataFrame:
-    """Return the analytic limit at each value of the column `along`, as columns `along` and `limit`; NaN where there is
-    none.
+    """Return a table of the limit that a formula predicts at each value of the column `along`; NaN where there is none.
 
     A parameter that the theory names has the value of the rows there where they agree on one, else the nominal value.
     """

@@ -16,7 +16,7 @@ MAX_LABELLED_VALUES, MAX_HORIZONTAL_LABELS = (
 
 
 class MapCells(NamedTuple):
-    """Cell values of both parameters in order; parameters with names have the numbers 1, 2, ... instead."""
+    """Values of a map's cells along both axes, in order; the values of an axis with names are 1, 2, ... instead."""
 
     x: np.ndarray
     y: np.ndarray
@@ -48,7 +48,7 @@ def lay_out_cells(rows: pd.DataFrame, x: str, y: str) -> tuple[pd.DataFrame, Map
 
 
 def evenly_spaced(values: np.ndarray) -> bool:
-    """Return whether values are even enough that cells can reach half-way to their neighbours."""
+    """Return whether values are so evenly spaced that cells can reach half-way to their neighbours."""
     gaps = np.diff(values)
     return len(gaps) == 0 or float(gaps.max()) < 3 * float(gaps.min())
 

@@ -20,7 +20,7 @@ MAX_LISTED = 12  # pairs and figures of a list; `--output` has them all
 def comparison_text(
     pairs: pd.DataFrame, a: int, b: int, regions: list[str] | None = None, unit: np.ndarray | None = None
 ) -> str:
-    """Describe how outcomes differ between two runs, by region and by cause, and which metrics changed most.
+    """Describe how outcomes differ between two runs, by region of the parameters and by cause, and changes of metrics.
 
     Args:
         pairs: paired rows, see `compare.pair`.

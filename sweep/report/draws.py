@@ -76,7 +76,7 @@ def rows_by_kind(rows: pd.DataFrame, columns: Sequence[str]) -> Iterator[tuple[s
 
 
 def draw_overview(results: Results) -> Figure:
-    """Draw the overview of a study of draws."""
+    """Draw the overview figure of a study with randomly drawn parameters."""
     rows, ranked = results.rows, results.regional_sensitivity
     columns = list(ranked["axis"]) or drawn_columns(results)
     panels = [*(["rank"] if len(ranked) else []), "pair", "margin"]
@@ -162,7 +162,7 @@ def draw_margins(ax: Axes, results: Results, column: str) -> None:
 
 
 def draw_dots(ax: Axes, x: pd.Series, y: pd.Series, kind: str, total: int) -> None:
-    """Draw a random part of the rollouts of a kind, so that at most `MAX_DOTS` dots are drawn in total.
+    """Draw the rollouts of one outcome kind as dots; a random part if the plot would exceed `MAX_DOTS` in total.
 
     More rollouts get smaller dots.
     """

@@ -67,6 +67,6 @@ def probability_of_failure(rows: pd.DataFrame, exp: Experiment) -> str:
 
 
 def describe_placed_rollouts(rows: pd.DataFrame) -> str:
-    """State how many rollouts an adaptive search has placed and how many of them failed."""
+    """State how many rollouts an adaptive search has simulated, and how many of them failed or are invalid."""
     failed, invalid = (int((rows["outcome"] == kind).sum()) for kind in ("failure", "invalid"))
     return f"{len(rows):,} rollouts placed where failures are expected, of which {failed:,} failed, {invalid:,} invalid"

@@ -66,8 +66,7 @@ def path_label(column: str, parts: int = 1) -> str:
 
 
 def axis_name_label(axis: Axis) -> str:
-    """Return the label of a study axis: its name, the meaning of its numbers if they are no parameter values, and its
-    side."""
+    """Return the label of a varied parameter: its name, what its numbers mean, and its side (world or belief)."""
     words = axis.name.replace("_", " ")
     if axis.path and axis.times:
         words = f"{words} / {path_label(axis.times)}"
@@ -130,7 +129,7 @@ def shorten_file_names(names: Sequence[str]) -> list[str]:
 
 
 def axis_title(column: str, exp: Experiment | None = None) -> str:
-    """Return the title of a plot axis for a column; parameters such as `c1` and `a_r` get a subscript."""
+    """Return the title of a plot axis for a column, with subscripts in symbols such as `c1` and `a_r`."""
     return re.sub(r"\b([a-z])(?:(\d)|_(\w))\b", r"$\1_\2\3$", heading(column, exp))
 
 

@@ -15,7 +15,7 @@ BETTER, OPEN, WORSE = "▲", "·", "▽"  # than the policy of the column
 
 
 def standings_of(league: LeagueRows, level: float) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the sorted policies, and all pairs of them.
+    """Return a table of the policies, sorted by success rate, and a table that compares all pairs of them.
 
     Args:
         league: Outcomes of the policies.
@@ -28,7 +28,7 @@ def standings_of(league: LeagueRows, level: float) -> tuple[pd.DataFrame, pd.Dat
 
 
 def format_league(league: LeagueRows, level: float, unit: str, by: list[str]) -> str:
-    """Describe a league as Markdown.
+    """Describe the comparison of several policies as Markdown: success rates with ranks, pairs and conditions.
 
     Args:
         league: Outcomes of the policies.
@@ -67,7 +67,7 @@ def format_league(league: LeagueRows, level: float, unit: str, by: list[str]) ->
 
 
 def format_race(policies: list[str], race: Race, units: list[int], unit: str, only_best: bool) -> str:
-    """Describe the state of a race as text.
+    """Describe the state of a sequential comparison of policies (race) as text.
 
     Args:
         policies: Names of the policies.

@@ -144,7 +144,7 @@ def independent_parameters(rows: pd.DataFrame, chosen: tuple[str, ...] = ()) -> 
 def split_panels(
     rows: pd.DataFrame, x: str, y: str, also: tuple[str, ...] = (), exp: Experiment | None = None
 ) -> Iterator[tuple[list[str], pd.DataFrame]]:
-    """Divide rows into map panels with titles, one for each combination of names and of values of `also`."""
+    """Yield titles and rows of the panels of a map, one for each combination of names and of values of `also`."""
     named = [c for c in rows.columns if "." in c and c not in (x, y) and rows[c].dtype.kind not in "fi"]
     named = [*(c for c in named if has_several_values(rows[c])), *also]
     if not named:
@@ -168,7 +168,7 @@ def rollouts_per_cell_range(counts: list[pd.Series]) -> str:
 
 
 def draw_outcomes(ax: Axes, rows: pd.DataFrame, cells: MapCells) -> None:
-    """Colour cells by outcome and cause."""
+    """Colour the cells of a map by outcome and failure cause."""
     kind = pd.Categorical(rows["cause"].where(rows["outcome"] == "failure", "success"))
     palette = ListedColormap([find_style(one).colour for one in kind.categories])
     draw_cell_values(
@@ -206,7 +206,7 @@ def cause_glyph(cause: str) -> Line2D:
 
 
 def equal_runs(grid: np.ndarray, cells: MapCells) -> Iterator[tuple[tuple[tuple[float, float], float, float], Any]]:
-    """Return runs of equal cells in each line of a grid: corner, width, height and value."""
+    """Yield runs of neighbouring cells with equal values in each line of a grid: corner, width, height and value."""
     x, y = cell_edges(cells.x).tolist(), cell_edges(cells.y).tolist()
     for j, line in enumerate(grid):
         starts = np.flatnonzero(np.r_[True, line[1:] != line[:-1]]).tolist()
@@ -238,7 +238,7 @@ def draw_rates(ax: Axes, rows: pd.DataFrame, cells: MapCells) -> None:
 
 
 def draw_cell_values(ax: Axes, rows: pd.DataFrame, cells: MapCells, **style: Any) -> None:
-    """Colour a map's cells by the mean of their valid rows, and hatch cells with invalid ones."""
+    """Colour a map's cells by the mean of the column `value` of valid rows, and hatch cells with invalid ones."""
     invalid = rows["outcome"] == "invalid"
     draw_cells(ax, cell_means(rows[~invalid], cells, "value"), cells, **style)
     doubtful = np.zeros((len(cells.y), len(cells.x)), dtype=bool)

@@ -68,13 +68,13 @@ def bar(half: float, turn: float = 0.0) -> np.ndarray:
 
 
 def rotation(degrees: float) -> np.ndarray:
-    """Return the rotation matrix that multiplies corners (N, 2) from the right."""
+    """Return the matrix (2, 2) that turns corners (N, 2) of a polygon when multiplied from the right."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return np.array([[c, s], [-s, c]])
 
 
 def family_styles(family: str, **kinds: tuple[str, np.ndarray]) -> dict[str, OutcomeStyle]:
-    """Return the styles of a family of causes, with shapes of about equal area."""
+    """Return the drawing styles of a family of failure causes, whose marker shapes have about equal area."""
     found = {}
     for kind, (colour, shape) in kinds.items():
         x, y = shape.T

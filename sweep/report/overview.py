@@ -62,7 +62,7 @@ def describe_folder(folder: Path) -> dict[str, str]:
 
 
 def read_failure_probability(folder: Path) -> str:
-    """P(failure) of a study that searches for failures, or why it is unknown, as where its project is not at hand."""
+    """Return the failure probability of a study that searches for failures as text, or why it is unknown."""
     try:
         return probability_of_failure(store.read_rows(folder), load_experiment(folder))
     except InputError as error:
@@ -70,7 +70,7 @@ def read_failure_probability(folder: Path) -> str:
 
 
 def read_outcomes(folder: Path) -> pd.Series:
-    """Return the outcomes of finished rows. Raises `InputError` if a part is damaged."""
+    """Return the outcomes of a folder's finished rows. Raises `InputError` if a file of rows is damaged."""
     if not store.list_current_parts(folder):
         return pd.Series([], dtype=object)
     return store.read_rows(folder, ["outcome"])["outcome"]

@@ -32,7 +32,7 @@ CHANGE_COLOURS = {"cmap": "RdBu", "vmin": -1, "vmax": 1}  # blue as success is w
 
 
 def join_pairs(a: Results, b: Results) -> tuple[Results, pd.DataFrame]:
-    """Pair the rows of two studies by their common columns.
+    """Pair the rows of two studies that have equal points.
 
     Args:
         a: first study.
@@ -53,7 +53,7 @@ def join_pairs(a: Results, b: Results) -> tuple[Results, pd.DataFrame]:
 
 
 def pairs_headline(pairs: pd.DataFrame, a: Path, b: Path, unit: np.ndarray | None = None) -> str:
-    """State in a sentence how many outcomes differ, and whether chance explains it.
+    """State in a sentence how many outcomes differ between two studies, and whether chance explains it.
 
     Args:
         pairs: paired rows.
@@ -65,7 +65,7 @@ def pairs_headline(pairs: pd.DataFrame, a: Path, b: Path, unit: np.ndarray | Non
 
 
 def pairs_tables(pairs: pd.DataFrame, unit: np.ndarray | None = None) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Yield tables of pairs: by region, by cause, and the pairs whose outcomes differ.
+    """Yield titled tables of paired rollouts: changes by region of the parameters, by cause, and the pairs that differ.
 
     Args:
         pairs: paired rows, see `compare.pair`.
@@ -120,13 +120,13 @@ def read_pair_replays(a: Results, b: Results) -> Iterator[ShownReplay]:
 
 
 def replay_names(rows: pd.DataFrame, mark: str) -> pd.Series:
-    """Return the name of each row's replay file, from the columns marked with `mark`."""
+    """Return the name of each row's replay file, from the columns whose names end in `mark`."""
     point = rows[f"point_id{mark}"] if f"point_id{mark}" in rows else rows["point_id"]
     return rows[f"run_id{mark}"].astype(str) + "-" + point.astype(str)
 
 
 def difference_figure(difference: Results, pairs: pd.DataFrame) -> Iterator[StudyFigure]:
-    """Yield maps of the success rates of A and B and of their difference.
+    """Yield the figure with maps of the success rates of studies A and B and of their difference.
 
     Args:
         found: rows of A that have a pair, see `join_pairs`.
@@ -143,7 +143,7 @@ def difference_figure(difference: Results, pairs: pd.DataFrame) -> Iterator[Stud
 
 
 def draw_difference(difference: Results, data: pd.DataFrame, x: str, y: str) -> Figure:
-    """Draw maps of A, of B and of the difference over the same cells."""
+    """Draw maps of the success rates of studies A and B and of their difference over the same cells."""
     places = {"x": bin_values(data[x], BINS_PER_AXIS), "y": bin_values(data[y], BINS_PER_AXIS)}
     won, won_b = (data[f"outcome{mark}"] == SUCCESS for mark in ("", SECOND_RUN_MARK))
     own = data.assign(**places, a=won.astype(float), b=won_b.astype(float), change=won_b.astype(float) - won)

@@ -11,7 +11,7 @@ from sweep.runs.results import Results
 
 
 def choose_recorded_rows(results: Results) -> pd.DataFrame:
-    """Choose the rows of which a run records replays, laid out as a batch of their own.
+    """Choose the rows whose replays a run records, and assign them to batches of their own.
 
     The batch is as narrow as possible, so that recording takes no longer than a few rollouts. Its rollouts may differ
     from the stored rows in the last bits; the page says how many of a replay's metrics are equal.

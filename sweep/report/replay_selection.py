@@ -55,8 +55,7 @@ def choose_replays(results: Results, number: int) -> pd.DataFrame:
 
 
 def nominal_rows(results: Results) -> Iterator[tuple[int, str]]:
-    """Choose the row whose varied parameters are nearest to their nominal values; none where these have no nominal
-    value."""
+    """Yield the index of the row nearest to nominal parameters, with a reason; nothing without nominal values."""
     columns = [c for c in (*results.categorical_columns, *results.numeric_columns) if not c.startswith("axis.")]
     if not columns or results.rows.empty:
         return
@@ -73,7 +72,7 @@ def nominal_rows(results: Results) -> Iterator[tuple[int, str]]:
 
 
 def choose_boundary_rows(results: Results) -> Iterator[tuple[int, str]]:
-    """Choose rows next to the boundary of success, far from each other, each with its neighbour across it."""
+    """Yield indices of rows next to the boundary of success, each with its nearest row of opposite outcome."""
     near = np.flatnonzero(audit.boundary_mask(results))
     place, win = scaled_parameters(results)[near], (results.rows["outcome"] == "success").to_numpy()[near]
     for k in order_by_distance(place):
@@ -84,7 +83,7 @@ def choose_boundary_rows(results: Results) -> Iterator[tuple[int, str]]:
 
 
 def choose_extreme_rows(results: Results) -> Iterator[tuple[int, str]]:
-    """Choose rows with the largest or smallest value of a metric; metrics with a threshold come first."""
+    """Yield indices of rows with the largest or smallest value of a metric; metrics with a threshold come first."""
     for name in metrics_with_threshold_first(results):
         values = results.rows[name].to_numpy(dtype=float)
         if np.isfinite(values).any():
@@ -95,13 +94,13 @@ def choose_extreme_rows(results: Results) -> Iterator[tuple[int, str]]:
 
 
 def choose_spread_rows(results: Results) -> Iterator[tuple[int, str]]:
-    """Choose rows, each as far as possible from those before it."""
+    """Yield indices of rows, each as far in parameter space as possible from those before it."""
     every = sample_indices(len(results.rows), MAX_SEARCHED_ROWS)
     yield from ((int(every[k]), "far from all others") for k in order_by_distance(scaled_parameters(results)[every]))
 
 
 def scaled_parameters(results: Results) -> np.ndarray:
-    """Return the parameters of each row (N, K), scaled by their ranges; two different names are 1 apart."""
+    """Return the parameters of each row (N, K), scaled by their ranges; names are numbered before scaling."""
     columns = [pd.factorize(results.rows[c])[0].astype(float) for c in results.categorical_columns]
     columns += [results.rows[c].to_numpy(dtype=float) for c in results.numeric_columns]
     values = np.column_stack(columns) if columns else np.zeros((len(results.rows), 1))

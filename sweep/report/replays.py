@@ -117,7 +117,7 @@ def write_replay(folder: Path, row: pd.Series, trace: Trace) -> None:
 
 
 def replay_content(row: pd.Series, trace: Trace) -> dict[str, Any]:
-    """Return the content of a replay file.
+    """Return the content of a replay file: motion, bodies and stages of a rollout as plain values for JSON.
 
     Args:
         row: row of the study.

@@ -32,7 +32,7 @@ class Representative:
 
 
 def find_representatives(results: Results) -> Iterator[Representative]:
-    """Yield the medoid of each cause, then of the successes.
+    """Yield the most typical rollout (medoid) of each failure cause, then that of the successes.
 
     The rollout with the least distance to all others in its metrics.
     """

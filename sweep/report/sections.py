@@ -53,7 +53,7 @@ class MapSection:
 
 
 def list_sections(results: Results) -> Iterator[MapSection]:
-    """Yield a section for each pair of parameters.
+    """Yield the rows of a map for each pair of varied parameters.
 
     A grid is cut at a few values of a third parameter; with more parameters, next to their nominal values. Where such a
     cut would be mostly empty, as among drawn points, all rows are counted in bins. Where two conditions or more were
@@ -83,7 +83,7 @@ def list_sections(results: Results) -> Iterator[MapSection]:
 
 
 def cut_section(results: Results, x: str, y: str, remaining: list[str]) -> MapSection:
-    """Return the map section at nominal values of the `remaining` parameters, or at a few values of a single one."""
+    """Return the rows of a map over `x` and `y`, at nominal values of `remaining` or a few values of a single one."""
     rows = results.rows
     if len(remaining) == 1:
         values = np.sort(rows[remaining[0]].unique())

@@ -168,7 +168,7 @@ def render_statistics(rows: pd.DataFrame, exp: Experiment, level: float = 0.9, f
 
 
 def labelled_sections(results: Results) -> Iterator[tuple[str, pd.DataFrame | str]]:
-    """Yield titles and contents of the statistics with labels of parameters; nothing for a table of points."""
+    """Yield titles and contents of a study's statistics, with labels of parameters; nothing for points from a file."""
     if results.exp.study.points:
         return
     for title, content in list(statistics_sections(results.rows, results.exp))[1:]:  # the first is the headline

@@ -206,7 +206,7 @@ def rollout_table(exp: Experiment, row: pd.Series) -> str:
 
 
 def varied_parameters(results: Results) -> Iterator[dict[str, Any]]:
-    """Yield a line for each varied parameter: label, path, side, unit, values and nominal value."""
+    """Yield a dictionary for each varied parameter: label, path, side (world or belief), unit, values and nominal."""
     words = unique_labels(results.axes, results.exp)
     paths = {axis.column: axis.path or "" for axis in results.exp.study.axes}
     for name in results.axes:

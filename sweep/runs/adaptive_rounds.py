@@ -18,7 +18,7 @@ from sweep.study.study import make_points
 
 
 def iter_jobs(exp: Experiment, folder: Path) -> Iterator[Job]:
-    """Yield a job for each round of adaptive sampling; run each job before asking for the next.
+    """Yield the job (batches to simulate) of each round of adaptive sampling; run each job before asking for the next.
 
     All rounds use one batch width, the best one for the smallest round, so that the engine compiles once.
 

@@ -32,7 +32,7 @@ def run_audit(
     progress: runner.ProgressCallback,
     on_message: Logger | None = None,
 ) -> None:
-    """Simulate a sample of finished rollouts again in variants of the simulation, and store their rows.
+    """Simulate a sample of finished rollouts again in variants, such as half the time step, and store their rows.
 
     Args:
         results: Finished rows of a study.
@@ -107,13 +107,13 @@ def with_row_settings(results: Results) -> Experiment:
 
 
 def sample_masks(results: Results) -> dict[str, np.ndarray]:
-    """Return for each sample of an audit, by its description, the mask (rows,) of the rows that it may contain."""
+    """Return the masks (rows,) that an audit samples from: rows next to the boundary of success, other successes."""
     near, succeeds = boundary_mask(results), (results.rows["outcome"] == "success").to_numpy()
     return {"next to the boundary": near, "successes elsewhere": succeeds & ~near}
 
 
 def boundary_mask(results: Results) -> np.ndarray:
-    """Return the mask of rows next to the boundary of success: of row and neighbour, one succeeds and one fails.
+    """Return the mask of rows that have a neighbour in parameter space with the opposite outcome (success or failure).
 
     The neighbours of a row are the 2 d nearest rows along d numeric parameters, among valid rows with the same
     categorical values and replicate. On a grid these are the adjacent points.
@@ -147,7 +147,7 @@ def boundary_mask(results: Results) -> np.ndarray:
 
 
 def iter_audited_variants(results: Results) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Yield each variant that has audited rows, with a table that pairs old and new rollouts.
+    """Yield each variant of an audit's simulation, with a table that pairs stored rollouts with those simulated again.
 
     The table is that of `compare.pair_rows`, paired by `point_id`.
     """
@@ -164,7 +164,7 @@ def iter_audited_variants(results: Results) -> Iterator[tuple[str, pd.DataFrame]
 
 
 def outcome_flip_table(results: Results) -> pd.DataFrame:
-    """Count the outcomes that flip, for each variant and sample of an audit.
+    """Count the outcomes that changed between success and failure, for each variant and sample of an audit.
 
     Args:
         results: Finished rows of a study, with an audit in its folder.

@@ -29,7 +29,7 @@ Levels = Mapping[str, Sequence[Any]]  # by column
 
 
 class InactiveInterval(NamedTuple):
-    """Interval of an axis in which no metric changes."""
+    """Interval of a varied parameter within which no metric changes."""
 
     column: str
     first: Any
@@ -39,7 +39,7 @@ class InactiveInterval(NamedTuple):
 
 @dataclass
 class AxisCheckReport:
-    """Result of `sweep run --check`: axes without effect, and metrics that do not repeat."""
+    """Result of `sweep run --check`: parameters without effect, and metrics that differ when a rollout is repeated."""
 
     axes: int  # number of axes that were tried
     engines: list[str]

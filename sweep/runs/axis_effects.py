@@ -11,7 +11,7 @@ from sweep.study.study import parameter_columns
 
 
 def find_unread_columns(exp: Experiment, table: pd.DataFrame) -> set[str]:
-    """Find varied parameters that no program of a study reads, so that they cannot change any row.
+    """Find varied parameters that no compiled program of a study reads, so that they cannot change any row.
 
     Args:
         exp: the experiment.
@@ -37,7 +37,7 @@ def find_unread_columns(exp: Experiment, table: pd.DataFrame) -> set[str]:
 
 
 def describe_unread_axes(exp: Experiment, table: pd.DataFrame) -> list[str]:
-    """List the axes that cannot change any metric, because no program of the study reads their parameter.
+    """List the axes that cannot change any metric, because no compiled program of the study reads their parameter.
 
     Args:
         exp: the experiment.

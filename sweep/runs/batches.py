@@ -63,13 +63,13 @@ def allocate_delay_buffers(exp: Experiment, table: pd.DataFrame) -> Experiment:
 
 
 def static_values(exp: Experiment, table: pd.DataFrame) -> dict[str, Any]:
-    """Return the column values that all rows of a group share because they are compiled into its program."""
+    """Return the parameter values, by column, that rows share because they are compiled into one program."""
     static = [c for c in parameter_columns(table) if needs_other_engine(c, exp.system, exp.settings)]
     return {c: getattr(v := table[c].iloc[0], "item", lambda v=v: v)() for c in static}
 
 
 def make_nominal_batch(exp: Experiment, rows: pd.DataFrame, width: int) -> Batch:
-    """Return the nominal batch of a group, from which its engine is compiled.
+    """Return the nominal parameters from which the engine of a group (rows that share a program) is compiled.
 
     Args:
         exp: Experiment of the study.
@@ -106,7 +106,7 @@ def make_batch(exp: Experiment, rows: pd.DataFrame) -> Batch:
 
 
 def assign_batches(exp: Experiment, planned: pd.DataFrame, wanted: pd.DataFrame) -> pd.DataFrame:
-    """Assign new points of a study to groups and batches; points that have a batch keep it.
+    """Assign new points to batches, and to groups that share a compiled program; points that have a batch keep it.
 
     Args:
         exp: Experiment of the study.

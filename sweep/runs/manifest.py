@@ -30,7 +30,7 @@ RETRY_PAUSES = (0.01, 0.05, 0.2, 0.5)  # s, in which another command may finish 
 
 @dataclass(frozen=True)
 class ManifestEntry:
-    """A line of the manifest: one file of the folder with its digest and size at the time of writing."""
+    """A line of the manifest (list of a folder's files): a file with its digest and size at the time of writing."""
 
     file: str  # path below the folder
     length: int  # size in bytes
@@ -46,7 +46,7 @@ class ManifestEntry:
         return FIXED_BYTES + rollouts * (BYTES_PER_ROLLOUT if is_table else BYTES_PER_RECORDING)
 
     def find_problem(self, path: Path, rollouts: int) -> str | None:
-        """Compare a file with this manifest entry.
+        """Compare size and content of a file with this manifest entry; return what differs, or None.
 
         Args:
             path: The file. It is not read if it is larger than its study warrants, such as 1 TB of zeros.
@@ -72,7 +72,7 @@ def format_line(entry: ManifestEntry) -> str:
 
 
 def parse_manifest(folder: Path) -> tuple[list[ManifestEntry], list[int]]:
-    """Read the manifest of a folder, damaged lines included.
+    """Read a folder's manifest (list of files); return its entries and the numbers of damaged lines.
 
     Returns:
         The sound entries, and the numbers (from 1) of the damaged lines.

@@ -41,7 +41,7 @@ PRINTABLE = (
 def read_parquet(
     path: Path, columns: Sequence[str] | None = None, has_row_names: bool = False, max_rows: int | None = None
 ) -> pa.Table:
-    """Read a table of numbers and words, as result folders hold them.
+    """Read a Parquet file with columns of numbers and words as an Arrow table.
 
     Args:
         path: The file. Columns that are not asked for are not read.

@@ -14,7 +14,7 @@ MAX_BATCH_WIDTH = 20_000_000  # rollouts of a batch: as many as a study may have
 
 
 class AssignedPoints:
-    """Points of a folder with their batches and slots (`points.parquet`), indexed by batch number."""
+    """Points of a folder (`points.parquet`) with their batch and slot (position in the batch), indexed by batch."""
 
     def __init__(self, assigned: pd.DataFrame, name: str):
         """Check the assigned points, and sort them by batch and slot.
@@ -51,7 +51,7 @@ class AssignedPoints:
         return set(np.unique(self._batches).tolist())
 
     def select_batches(self, batches: Collection[int]) -> tuple[pd.DataFrame, np.ndarray]:
-        """Return the points of some batches sorted by batch and slot, and their sortable keys."""
+        """Return the points of some batches, sorted by batch and position in it, and an integer sort key of each."""
         numbers = np.sort(np.fromiter(batches, dtype=np.int64, count=len(batches)))
         first, last = (np.searchsorted(self._batches, numbers, side) for side in ("left", "right"))
         if len(numbers) and (first[1:] == last[:-1]).all():  # one after the other
@@ -97,7 +97,7 @@ class AssignedPoints:
 
 
 def place_keys(rows: pd.DataFrame) -> np.ndarray:
-    """Return a sortable integer key (n,) for the batch and slot of each row; -1 where one of them is out of range."""
+    """Return an integer (n,) that sorts rows by batch and slot (position in it); -1 where one is out of range."""
     batch, slot = (rows[column].to_numpy() for column in KEY_COLUMNS)
     possible = (batch >= 0) & (batch < MAX_BATCHES) & (slot >= 0) & (slot < MAX_SLOTS)
     return np.where(possible, batch.astype(np.int64) * MAX_SLOTS + slot.astype(np.int64), -1)

@@ -83,7 +83,7 @@ def make_lattice(study: Study) -> Lattice:
 
 
 def check_refinable(study: Study, first_grid: pd.DataFrame) -> None:
-    """Raise `InputError` unless a study can be refined.
+    """Raise `InputError` unless the axes and settings of a study allow the refinement of its map.
 
     Args:
         study: The study.
@@ -118,7 +118,7 @@ def iter_panels(study: Study, rows: pd.DataFrame) -> Iterator[tuple[dict[str, st
 
 
 def iter_jobs(exp: Experiment, folder: Path, first_grid: pd.DataFrame) -> Iterator[Job]:
-    """Yield the jobs of a refinement; run each job before asking for the next.
+    """Yield the job (batches to simulate) of each step of map refinement; run each job before asking for the next.
 
     First come points that an earlier run left and the study's own grid, then the points that finished rows call for.
     All batches have one width, so that the engine compiles once.
@@ -142,7 +142,7 @@ def iter_jobs(exp: Experiment, folder: Path, first_grid: pd.DataFrame) -> Iterat
 
 
 def next_points(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
-    """Return the rollouts to simulate next, given the finished `rows`.
+    """Return the rollouts that the refinement of a map simulates next, given the finished `rows`.
 
     Args:
         exp: Experiment of the study.
@@ -191,7 +191,7 @@ def _point_rollouts(
 
 @dataclass(frozen=True)
 class LatticeCounts:
-    """Number of rollouts at every lattice point."""
+    """Number of all, of valid and of successful rollouts at every point of a refined map's finest grid."""
 
     total: np.ndarray
     valid: np.ndarray
@@ -214,7 +214,7 @@ def _undecided_points(study: Study, counts: LatticeCounts) -> np.ndarray:
 
 
 def label_points(study: Study, counts: LatticeCounts) -> np.ndarray:
-    """Return the outcome label of every lattice point that has one.
+    """Return the label of every point of the finest grid: success, failure, invalid, or missing.
 
     Args:
         study: The study, with its `level`.
@@ -230,7 +230,7 @@ def label_points(study: Study, counts: LatticeCounts) -> np.ndarray:
 
 
 def select_lattice_points(study: Study, grid: Lattice, counts: LatticeCounts) -> np.ndarray:
-    """Select the lattice points that bisection needs, and once these are simulated, those of the audit.
+    """Select the grid points that bisection needs; once all are simulated, also random points that test the result.
 
     Args:
         study: The study.
@@ -248,7 +248,7 @@ def select_lattice_points(study: Study, grid: Lattice, counts: LatticeCounts) ->
 
 
 def draw_audit_points(study: Study, wanted: np.ndarray) -> np.ndarray:
-    """Draw `study.audit` random lattice points from those that bisection skipped.
+    """Draw `study.audit` random grid points from those that bisection skipped, to test the labels filled in there.
 
     Args:
         study: The study.
@@ -264,7 +264,7 @@ def draw_audit_points(study: Study, wanted: np.ndarray) -> np.ndarray:
 
 
 def bisect_cells(labels: np.ndarray, halvings: int) -> np.ndarray:
-    """Select lattice points by halving cells whose corners have different labels.
+    """Select points of the finest grid by halving cells whose corners have different outcomes.
 
     A cell disagrees where both a success and a failure lie in it or on its border. So a boundary that leaves a halved
     cell through a side is followed into the next cell.
@@ -304,7 +304,7 @@ def _cell_windows(array: np.ndarray, size: int) -> np.ndarray:
 
 
 def leaf_cells(labels: np.ndarray, halvings: int) -> tuple[np.ndarray, ...]:
-    """Return the smallest cells, at which bisection ends.
+    """Return the lower corners of the cells that bisection does not divide further, for each size of cell.
 
     Args:
         labels: Labels of the lattice points that bisection needed; MISSING elsewhere.
@@ -323,7 +323,7 @@ def leaf_cells(labels: np.ndarray, halvings: int) -> tuple[np.ndarray, ...]:
 
 
 def fill_cells(labels: np.ndarray, halvings: int) -> np.ndarray:
-    """Fill in labels inside cells whose corners agree and that contain no other label.
+    """Fill in outcome labels inside grid cells whose corners agree and that contain no other label.
 
     Args:
         labels: Label of every lattice point.
@@ -347,7 +347,7 @@ def fill_cells(labels: np.ndarray, halvings: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class RefinedPanel:
-    """Result of refinement in one panel: the labelled lattice, its cells, and the error of filled-in labels."""
+    """Result of refining one map panel: outcome labels on the finest grid, its cells, error of filled-in labels."""
 
     level_names: dict[str, str]  # level of each categorical axis, by axis name
     lattice: Lattice
@@ -413,7 +413,7 @@ def summarize_panels(exp: Experiment, rows: pd.DataFrame) -> list[RefinedPanel]:
 
 
 def total_effects(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
-    """Compute the total Sobol index of success for each listed axis, over the lattice of a refined map.
+    """Compute the total Sobol index of success for each listed axis, over the finest grid of a refined map.
 
     The rows themselves would mislead, as most of them lie next to the boundary; the lattice is even. A lattice point
     without a label counts half.

@@ -25,7 +25,7 @@ MIN_MERGED_PARTS = 8  # least number of parts that are merged
 
 
 def verify_folder(folder: Path) -> tuple[list[str], list[str], int]:
-    """Check every file of a study's folder; changes nothing.
+    """Check every file of a study's folder; return lines on damaged and unlisted files, and the number of sound ones.
 
     Returns:
         A line for each damaged or missing file, a line for each file that is not listed and thus ignored, and the count
@@ -190,7 +190,7 @@ def _belongs(folder: Path, entry: ManifestEntry, kept: Sequence[ManifestEntry], 
 
 
 def remove_parts(folder: Path, entries: Sequence[ManifestEntry]) -> None:
-    """Remove files of rows from the manifest, then delete them. Raises `Fault` if the disk fails."""
+    """Remove files of rows from the manifest (list of valid files) and delete them. Raises `Fault` on disk errors."""
     manifest.rewrite_manifest(folder, [entry for entry in manifest.read_manifest(folder) if entry not in entries])
     for entry in entries:
         path_inside_folder(folder, entry.file).unlink(missing_ok=True)

@@ -33,24 +33,24 @@ class Results:
 
     @cached_property
     def axes(self) -> list[str]:
-        """Columns that vary: those of the study's axes, or of its table of points."""
+        """Names of the columns that vary: those of the study's axes, or of its CSV table of points."""
         listed = [] if self.exp.study.points else [axis.column for axis in self.exp.study.axes]
         every = listed or parameter_columns(self.rows)
         return [c for c in every if c in self.rows and has_several_values(self.rows[c])]
 
     @cached_property
     def numeric_columns(self) -> list[str]:
-        """Varied columns with numbers."""
+        """Names of the varied columns that hold numbers."""
         return [c for c in self.axes if self.rows[c].dtype.kind in "fi"]
 
     @cached_property
     def categorical_columns(self) -> list[str]:
-        """Varied columns with names, such as that of an engine."""
+        """Names of the varied columns that hold words, such as the name of an engine."""
         return [c for c in self.axes if c not in self.numeric_columns]
 
     @cached_property
     def listed_numeric_columns(self) -> list[str]:
-        """Varied columns with listed numbers, as in a grid; all numeric ones for a table of points."""
+        """Names of the varied columns with listed numbers, as in a grid; all numeric ones for a CSV table of points."""
         if self.exp.study.points:
             return self.numeric_columns
         own = [a.column for a in sensitivity.listed_axes(self.rows, self.exp)]
@@ -89,7 +89,7 @@ class Results:
 
 
 def load_experiment(folder: Path) -> Experiment:
-    """Return the experiment of a study's folder.
+    """Return the experiment (system, study and settings) that a study's folder stores.
 
     Raises:
         InputError: The folder is not a study's, or this version cannot read its configuration.

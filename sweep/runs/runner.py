@@ -128,7 +128,7 @@ def select_points(
 
 
 def count_unassigned_points(exp: Experiment, table: pd.DataFrame, wanted: pd.DataFrame) -> int:
-    """Count the study's points that have no batch, as after `--limit`.
+    """Count the points of a study that are in no batch yet, for instance because of `--limit`.
 
     Args:
         exp: Experiment of the study.
@@ -275,7 +275,7 @@ def study_id(values: Mapping[str, Any]) -> str:
 
 
 def labels_id(values: Mapping[str, Any]) -> str:
-    """Return the digest of thresholds and code by which rows are labelled."""
+    """Return the digest of the thresholds and code that judge rows as success or failure."""
     return store.digest([values["outcome"], provenance.code_version()])
 
 
@@ -326,7 +326,7 @@ def run_job(job: Job, progress: ProgressCallback, dispatch: DispatchFunction = m
 
 
 def list_finished_part(job: Job, done: "FinishedBatch", entry: ManifestEntry) -> pd.DataFrame:
-    """Add the file of rows that a worker wrote to the manifest, so that its rows count.
+    """Add the file of rows that a worker wrote to the manifest, so that its rows count; return outcomes and wall times.
 
     Args:
         job: The job.
@@ -353,7 +353,7 @@ def list_finished_part(job: Job, done: "FinishedBatch", entry: ManifestEntry) ->
 
 
 def limit_last_states(folder: Path, recordings: tuple[ManifestEntry, ...]) -> list[ManifestEntry]:
-    """Return the recordings to keep; delete last states of invalid rows beyond the limit per folder.
+    """Keep the final states of at most `MAX_INVALID_ROWS` invalid rows of a folder; return the recordings that remain.
 
     Workers do not know of each other, so together they may record too many.
     """
@@ -367,7 +367,7 @@ def limit_last_states(folder: Path, recordings: tuple[ManifestEntry, ...]) -> li
 def iter_batches(
     job: Job, missing: list[int], record: RunRecord, out_of_memory: Collection["FinishedBatch"]
 ) -> Iterator[int]:
-    """Yield the numbers of missing batches; compile the engine of each group before its first batch.
+    """Yield the numbers of missing batches; compile the engine of each group (batches of one program) before its first.
 
     An impossible plan is thus refused here, before a worker sees it.
 
@@ -420,7 +420,7 @@ class FinishedBatch:
 
 
 def simulate_on_worker(folder: Path, version: str, code: str, number: int) -> FinishedBatch:
-    """Simulate one batch of a study's folder and write its part, in a worker process.
+    """Simulate one batch of a study's folder in a worker process, and write its rows to a file.
 
     The rows count once the command that sent the batch lists them in the manifest.
 
@@ -465,7 +465,7 @@ def simulate_on_worker(folder: Path, version: str, code: str, number: int) -> Fi
 def last_states_of_invalid_rows(
     job: Job, engine: Engine, rows: pd.DataFrame, finished: pd.DataFrame
 ) -> list[pd.DataFrame]:
-    """Return the last states of a batch's invalid rows, up to the limit per folder.
+    """Return the states in the last second of a batch's invalid rollouts, for at most a few rollouts of a folder.
 
     Args:
         job: The job.
@@ -536,7 +536,7 @@ def simulate_batch(exp: Experiment, engine: Engine, rows: pd.DataFrame) -> tuple
 
 
 def prepare_single_batch(exp: Experiment) -> tuple[Experiment, pd.DataFrame]:
-    """Make the batches of a study that is not stored, such as a nominal rollout.
+    """Assign the points of a study that is not stored to batches; return experiment and points.
 
     Returns:
         The experiment with a batch width and delay buffers, and the points with their batch.
@@ -591,7 +591,7 @@ def relabel(folder: Path, outcome: Mapping[str, Any]) -> None:
 
 
 def load_point(folder: Path, point: str) -> tuple[Batch, int, pd.Series]:
-    """Return the batch in which a stored row was simulated, so that it can be simulated again.
+    """Return the batch of a stored rollout, its position there and its row, from which to simulate it again.
 
     On the same device the same batch gives the same bits.
 

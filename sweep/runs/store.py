@@ -150,7 +150,7 @@ def digest(values: Any) -> str:
 
 
 def write_points(folder: Path, points: pd.DataFrame) -> None:
-    """Write all points of a study with their groups, batches and slots. Raises `Fault` if the disk fails."""
+    """Write the points of a study with group (program), batch and slot (place in it). Raises `Fault` on disk errors."""
     content = _to_parquet(pa.Table.from_pandas(points, preserve_index=False), {})
     entry = ManifestEntry(POINTS_FILE, len(content), files.digest(content))
     # listed before it is written: any listed points table counts as sound, so a kill in between does no harm
@@ -160,7 +160,7 @@ def write_points(folder: Path, points: pd.DataFrame) -> None:
 
 
 def has_listed_points(folder: Path, entries: Sequence[ManifestEntry], planned: int) -> bool:
-    """Return whether a folder has a points table that its manifest lists.
+    """Return whether a folder holds the table of planned points just as its manifest lists it.
 
     Args:
         folder: Results folder of a study.
@@ -179,7 +179,7 @@ def has_listed_points(folder: Path, entries: Sequence[ManifestEntry], planned: i
 
 
 def read_points(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFrame:
-    """Read the points table.
+    """Read the table of the points that a study plans to simulate, a row for each rollout.
 
     Args:
         folder: Results folder of a study.

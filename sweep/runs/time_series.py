@@ -31,8 +31,7 @@ def make_time_series_request(exp: Experiment, settings: EngineSettings) -> TimeS
 
 
 def slots_with_time_series(exp: Experiment, rows: pd.DataFrame) -> np.ndarray:
-    """Return the slots of a batch whose time series the study keeps; `rows` are indexed as in the table of all
-    points."""
+    """Return the slots (positions in a batch) of the rollouts whose time series the study keeps."""
     return np.flatnonzero(rows.index < exp.study.keep_rows) if exp.study.keep else np.zeros(0, int)
 
 
@@ -89,7 +88,7 @@ def time_series_table(
 def histories_table(
     finished: pd.DataFrame, slots: np.ndarray, samples: np.ndarray, watched: TimeSeriesRequest, period: float
 ) -> pd.DataFrame:
-    """Return the time series of a batch as a table.
+    """Return the time series of a batch as a table with a row for each sample.
 
     Args:
         finished: Finished rows of the batch.
@@ -106,7 +105,7 @@ def histories_table(
 def simulate_last_states(
     exp: Experiment, engine: Engine, task: Batch, finished: pd.DataFrame, limit: int
 ) -> list[pd.DataFrame]:
-    """Record every control tick of the last second of a batch's invalid rollouts, before their cause.
+    """Simulate a batch again and record every control tick of the last second of its invalid rollouts.
 
     The batch is simulated once more for it, so that batches without invalid rows take no longer.
 
@@ -149,7 +148,7 @@ def read_histories(folder: Path) -> pd.DataFrame:
 def write_recordings(
     folder: Path, study: str, batch: int, table: pd.DataFrame | None, states: Sequence[pd.DataFrame]
 ) -> tuple[ManifestEntry, ...]:
-    """Write the recordings of a batch; return their manifest entries.
+    """Write the time series and last states of a batch to files; return their manifest entries.
 
     Args:
         folder: Folder of the study.

@@ -85,7 +85,7 @@ def parse_free_numbers(
 
 
 def draw_beliefs(exp: Experiment, seed: int) -> tuple[Any, int]:
-    """Draw the beliefs for which a plan is tuned, as the experiment's study draws parameters.
+    """Draw the parameter values that the controller assumes (beliefs) and for which a plan is tuned.
 
     Args:
         exp: Experiment of the study.
@@ -113,7 +113,7 @@ def search_by_cma(
     log: Path,
     progress: Callable[[int, float], None],
 ) -> tuple[np.ndarray, float]:
-    """Minimise the score of a plan's numbers by CMA-ES; return the best numbers.
+    """Find the numbers of a plan with the lowest score by CMA-ES; return these numbers and their score.
 
     Args:
         scores: Function from numbers (population, n) to their scores (population,).
@@ -198,7 +198,7 @@ def search_by_gradients(
     log: Path,
     progress: Callable[[int, float], None],
 ) -> np.ndarray:
-    """Minimise the mean deficit over all draws by Adam; return the best numbers.
+    """Find the numbers of a plan with the smallest mean margin deficit over all draws, by Adam.
 
     A draw's gradient is cut to the length `MAX_GRADIENT`, so that draws out of reach do not outweigh all others.
 
@@ -293,7 +293,7 @@ def cost_of_draws(deficit: np.ndarray) -> np.ndarray:
 def solve_linear_program(
     deficit: np.ndarray, slope: np.ndarray, by: np.ndarray, present_slopes: np.ndarray, radius: float
 ) -> np.ndarray:
-    """Return the slopes (n, k) within a radius of `present_slopes` that minimize the mean `cost_of_draws`, linearized.
+    """Return the slopes (n, k) of plan numbers by sizes, near given ones, that minimize the linearized cost of draws.
 
     The variables are the positive and negative parts of the slopes, the deficit of each margin of a draw, and the
     largest deficit of each draw.

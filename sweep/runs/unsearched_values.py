@@ -6,7 +6,7 @@ from sweep.config.experiment import Experiment
 
 
 def describe_unsearched_values(exp: Experiment, points: pd.DataFrame) -> list[str]:
-    """Describe which values of a study lie outside those that the controller was searched for.
+    """Describe which values of a study lie outside the ranges for which the controller's plan was optimised.
 
     Args:
         exp: The experiment.

@@ -23,7 +23,7 @@ DEFAULT_LEAD_COLUMN = "margin"  # column that subset simulation follows by defau
 
 
 class RoundDraws(NamedTuple):
-    """Draws of one round of adaptive sampling, which a search yields and the study simulates."""
+    """Parameter draws of one round of adaptive sampling: the search yields them, and the study simulates them."""
 
     quantiles: Float[np.ndarray, "n d"]  # quantiles, before axes are correlated
     numbers: Int[np.ndarray, " n"]  # of the draws: each has noise of its own
@@ -31,13 +31,13 @@ class RoundDraws(NamedTuple):
 
 
 class RoundSummary(NamedTuple):
-    """Outcomes of one round's rollouts, which the search receives."""
+    """Outcomes of the rollouts of one round, from which adaptive sampling chooses the next draws."""
 
     failed: Bool[np.ndarray, " n"]  # invalid ones among them
     lead: Float[np.ndarray, " n"]  # the smaller, the nearer to failure
 
     def select(self, rows: slice) -> "RoundSummary":
-        """Return the summary of some of the draws."""
+        """Return the outcomes of some of the round's draws, chosen by a slice."""
         return RoundSummary(self.failed[rows], self.lead[rows])
 
 
@@ -45,7 +45,7 @@ SearchGenerator = Generator[RoundDraws, RoundSummary, Any]
 
 
 def summarize_round(rows: "pd.DataFrame", draws: RoundDraws, lead: str) -> RoundSummary:
-    """Summarize the rows of a round for its search.
+    """Return which draws of a round failed, and their values of `lead`, a metric that shrinks towards failure.
 
     Args:
         rows: Finished rows of the study, including those of the round.

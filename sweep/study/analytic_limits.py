@@ -17,7 +17,7 @@ LIMIT_KEYS = ("label", "formula", "output", "of", "inputs", "measured")
 
 @dataclass(frozen=True)
 class AnalyticParameterLimit:
-    """A formula's output as the limit of a parameter, in the parameter's unit.
+    """A limit that a formula predicts for one parameter of a study, in the unit of that parameter.
 
     `of` is the path of the parameter without its side.
     """
@@ -30,7 +30,7 @@ class AnalyticParameterLimit:
     measured: str  # figure to show beside; empty for none
 
     def compute(self, value_of: Callable[[str], Any]) -> float:
-        """Compute the parameter's limit from the formula at given parameter values.
+        """Compute the limit that the formula predicts for its parameter, at given parameter values.
 
         Args:
             value_of: Returns the value of a parameter path.
@@ -67,7 +67,7 @@ class AnalyticParameterLimit:
 
 
 def parse_limit(key: str, values: Any) -> AnalyticParameterLimit:
-    """Parse one entry of `study.theory`.
+    """Parse one entry of the setting `study.theory`: a formula that predicts the limit of a parameter.
 
     Args:
         key: Path of the entry, for messages.

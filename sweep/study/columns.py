@@ -38,5 +38,5 @@ COLUMN_MEANINGS = {  # of labels and of what places a row in its study
 
 
 def metric_columns(rows: "pd.DataFrame") -> list[str]:
-    """Return the metric columns of a table: all except parameters, position in the study, labels and timing."""
+    """Return the names of the metric columns of a table: all but parameters, identifiers, outcome labels and timing."""
     return [c for c in rows.columns if "." not in c and c not in (*PLACEMENT_COLUMNS, *LABEL_COLUMNS, *TIMING_COLUMNS)]

@@ -72,12 +72,12 @@ class Axis:
 
     @property
     def column(self) -> str:
-        """Column that users read: the parameter's values, or the auxiliary number n if that is clearer."""
+        """Name of the column that users read: that of the parameter, or of the number that it follows from."""
         own = self.path is None or self.times is not None or (self.relative is not None and self.values is not None)
         return f"axis.{self.name}" if own else str(self.target)
 
     def nominal_number(self, nominal_of: Callable[[str], Any]) -> Any:
-        """Return the auxiliary number n at which the parameter has its nominal value.
+        """Return the value at which the auxiliary number of this axis gives the parameter its nominal value.
 
         Args:
             nominal_of: Returns the nominal value of a parameter path.
@@ -122,7 +122,7 @@ def refuse_ignored_settings(study: Mapping[str, Any]) -> None:
 
 
 def rename_on_to_side(axes: Mapping[str, Any]) -> dict[str, Any]:
-    """Rename the former key `on` of axes to `side`. Raises `InputError` where an axis has both."""
+    """Rename the key `on` of axes in older files to `side` (world or belief). Raises `InputError` if both are there."""
 
     def renamed(name: str, axis: Mapping[Any, Any]) -> dict[Any, Any]:
         if "side" in axis and any(key in FORMER_SIDE_KEYS for key in axis):
@@ -160,7 +160,7 @@ def expand_patterns(axes_config: Mapping[str, Any], paths_below: Callable[[str],
 
 
 def parse_axes(axes_config: Mapping[str, Any]) -> tuple[Axis, ...]:
-    """Parse the plain axes of a study, by name. Raises `InputError`."""
+    """Parse the axes (varied parameters) of a study from plain configuration values. Raises `InputError`."""
     axes = tuple(_axis(f"study.axes.{name}", name, axis) for name, axis in rename_on_to_side(axes_config).items())
     columns = [a.target for a in axes if a.target]
     if len(set(columns)) < len(columns):

@@ -20,7 +20,7 @@ DISTRIBUTIONS = {
 
 @dataclass(frozen=True)
 class Distribution:
-    """A probability distribution: one of `DISTRIBUTIONS`, or one of scipy.stats by its name there.
+    """The probability distribution of a parameter: one of `DISTRIBUTIONS`, or one of scipy.stats by its name there.
 
     A normal distribution and those of scipy.stats are truncated at `from` and `to` where these are given.
     """

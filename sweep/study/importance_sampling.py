@@ -42,7 +42,7 @@ class Mixture(NamedTuple):
     covariance_root: Float[np.ndarray, "k d d"]  # lower, root root' being the covariance
 
     def log_density(self, u: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n k"]:
-        """Return log(share x density) of each component at points `u` (n, d)."""
+        """Return the log of weight times density of each mixture component at points `u` (n, d)."""
         away = np.stack([np.linalg.solve(r, (u - m).T) for m, r in zip(self.means, self.covariance_root, strict=True)])
         size = np.log(np.diagonal(self.covariance_root, axis1=1, axis2=2)).sum(axis=1)
         return (np.log(self.weights) - size)[None] - 0.5 * ((away**2).sum(axis=1).T + u.shape[1] * np.log(2 * np.pi))
@@ -63,7 +63,7 @@ class Mixture(NamedTuple):
 
 
 def isotropic_normal(d: int, width: float, share: float = 1.0) -> Mixture:
-    """Make a mixture of one isotropic normal about zero.
+    """Make a mixture of a single isotropic normal distribution about zero, with standard deviation `width`.
 
     Args:
         d: Number of dimensions.
@@ -99,7 +99,7 @@ def start_search(d: int, num: int, wide: float, rounds: int, seed: int) -> Searc
 
 
 def importance_weights(u: Float[np.ndarray, "n d"], rounds: Sequence[Mixture]) -> Float[np.ndarray, " n"]:
-    """Return importance weights: nominal density over the mean density of all rounds.
+    """Return the importance weights of points `u`: nominal density over the mean density of all rounds' proposals.
 
     Args:
         u: Draws as standard-normal numbers, (n, d).
@@ -177,7 +177,7 @@ def fit_mixture(u: Float[np.ndarray, "n d"], weight: Float[np.ndarray, " n"]) ->
 
 
 def assign_modes(mixture: Mixture) -> Int[np.ndarray, " k"]:
-    """Assign mixture components to failure modes; two share a mode if the density has no dip between their means.
+    """Return the failure mode of each mixture component; two share a mode if the density has no dip between them.
 
     Args:
         mixture: A mixture of k normals.

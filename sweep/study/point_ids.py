@@ -17,12 +17,12 @@ _POWERS = 10.0 ** np.arange(-MOST_POWER, MOST_POWER + 1)
 
 
 def replicate_streams(seed: int, replicates: int) -> np.ndarray:
-    """Return the noise-stream numbers (replicates,) of replicates; further replicates leave earlier ones unchanged."""
+    """Return the numbers (replicates,) of the replicates' random noise streams; adding replicates changes no other."""
     return (np.random.SeedSequence(seed).generate_state(replicates, np.uint64) >> np.uint64(1)).astype(np.int64)
 
 
 def row_streams(seed: int, table: "pd.DataFrame") -> np.ndarray:
-    """Return the noise-stream numbers (n,) of rows from their values and replicates, independent of row order.
+    """Return the number (n,) of each row's random noise stream, hashed from its values and replicate number.
 
     Args:
         seed: Seed of the study.
@@ -44,7 +44,7 @@ def point_ids(hashes: np.ndarray) -> np.ndarray:
 
 
 def point_hashes(table: "pd.DataFrame", system: System) -> np.ndarray:
-    """Hash all physical inputs and the replicate number of every row.
+    """Return a 64-bit hash (n,) of all physical inputs and the replicate number of every row.
 
     The hash is a sum over inputs of hashes of name and value, so it is the same whether an input is varied or nominal.
     How a row is simulated does not matter. Inputs that were added later count only where they differ from their

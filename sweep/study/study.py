@@ -100,7 +100,7 @@ class Study(_PlainSettings):
 
     @property
     def is_refined(self) -> bool:
-        """Whether the study refines a map, so that its next points depend on earlier rows."""
+        """Whether the study refines a map of success, so that its next points depend on outcomes of earlier rows."""
         return self.resolution > 0 or self.budget > 0
 
     @property
@@ -117,7 +117,7 @@ class Study(_PlainSettings):
 
     @property
     def draw_context(self) -> DrawContext:
-        """What the design receives from the study to make draws."""
+        """The seed, the names of the drawn axes and the study's name, from which the design makes draws."""
         return DrawContext(designs.drawn_axis_names(self.axes), self.seed, self.name)
 
     @property
@@ -225,7 +225,7 @@ def needs_other_engine(column: str, system: System, settings: EngineSettings) ->
 
 
 def name_axes(rows: "pd.DataFrame", axes: Iterable[Axis]) -> "pd.DataFrame":
-    """Return rows in which conditions and lists of columns can use the study's names of axes.
+    """Return the rows with the names of the study's axes attached, so that conditions can use them as columns.
 
     Args:
         rows: Rows or points of the study; their columns stay as they are.
@@ -444,7 +444,7 @@ def _check_ends(study: Study, system: System, settings: EngineSettings) -> None:
 
 
 def identity_columns(columns: Any) -> list[str]:
-    """List the columns that identify a rollout of a study: its point, and how it is simulated."""
+    """List the columns that identify a rollout of a study: `point_id`, and the varied engine settings."""
     return ["point_id", *(c for c in columns if c.startswith("engine."))]
 
 
@@ -471,7 +471,7 @@ def _from_csv(file: str) -> "pd.DataFrame":
 
 
 def replace_settings(settings: EngineSettings, values: ColumnValues) -> EngineSettings:
-    """Return engine settings with the values of a row filled in.
+    """Return engine settings in which the `engine.` columns of a row replace the study's values.
 
     Args:
         settings: Engine settings of the study.

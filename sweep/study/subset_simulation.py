@@ -179,7 +179,7 @@ def _explain_end(
 
 
 def choose_next_level(lead: Float[np.ndarray, " n"], settings: LevelSettings) -> tuple[Bool[np.ndarray, " n"], float]:
-    """Choose the rows of the next level: those with the smallest values of the lead metric.
+    """Choose the rows that begin the next level: those nearest to failure, with the smallest values of `lead`.
 
     Args:
         lead: Leads of the rows of this level, (n,).

@@ -17,7 +17,7 @@ COMMAND = Command(
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the folder, the number of rollouts, and the variants."""
+    """Add the arguments of `sweep audit`: folder, number of rollouts, and variants of the simulation."""
     add_folder(parser)
     parser.add_argument("--points", type=int, default=32, help="number of rollouts of each kind, drawn at random (32)")
     parser.add_argument(

@@ -28,7 +28,7 @@ MEASUREMENT_DESCRIPTION = (
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the size of the measurement, and which rows of the table are measured."""
+    """Add the arguments of `sweep bench`: rollouts, batch width, and which engines are measured."""
     parser.add_argument("--rollouts", type=int, default=0, help="rollouts for each row of the table; 0: one batch")
     parser.add_argument("--width", type=int, default=0, help="rollouts in a batch; 0: best for the device")
     parser.add_argument("--rows", nargs="+", choices=ROW_NAMES, default=list(ROW_NAMES), help="which of them")
@@ -53,8 +53,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def measure_rows(nominal: "Case", rollouts: int, width: int, rows: tuple[str, ...]) -> Iterator[dict[str, Any]]:
-    """Yield the measured speed of each of `rows`; width 0 selects the best batch width of the device, rollouts 0 means
-    one batch."""
+    """Yield the measured speed of each engine in `rows`; width 0 is the best for the device, rollouts 0 one batch."""
     from sweep.backends import program_cache
     from sweep.contract.engine_settings import EngineSettings
 

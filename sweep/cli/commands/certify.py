@@ -15,7 +15,7 @@ COMMAND = Command(
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the folder, the guarantee that is wanted, and the region's shape."""
+    """Add the arguments of `sweep certify`: folder, guarantee, and shape of the region."""
     add_folder(parser)
     parser.add_argument(
         "--failures", type=float, default=1e-2, help="largest failure probability within the region (0.01)"
@@ -31,7 +31,7 @@ def add_arguments(parser: Arguments) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Certify a region, print guarantee and check; exit code 4 if no region is certified."""
+    """Certify a region of parameters with few failures, and print its guarantee; exit code 4 if there is none."""
     import json
 
     from sweep.cli import certification

@@ -19,7 +19,7 @@ COMMAND = Command(
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the folders, how rows are paired, what is tolerated, and the sequential test."""
+    """Add the arguments of `sweep compare`: folders, pairing of rows, tolerances, and the sequential test."""
     parser.add_argument(
         "a", type=Path, metavar="A", help="reference folder; each of its rows needs a row of the same point in B"
     )

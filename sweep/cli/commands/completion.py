@@ -21,7 +21,7 @@ complete -o default -F _sweep sweep"""
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the option through which the bash script passes the command line to complete."""
+    """Add the argument of `sweep completion` through which the bash script passes the line to complete."""
     parser.add_argument("--line", help=argparse.SUPPRESS)
 
 

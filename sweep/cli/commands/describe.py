@@ -17,7 +17,7 @@ COMMAND = Command(
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the name of what is described."""
+    """Add the argument of `sweep describe`: the name of a group, choice, parameter or column."""
     parser.add_argument(
         "name",
         nargs="?",

@@ -16,7 +16,7 @@ LICENSE = "https://spdx.org/licenses/CC-BY-4.0"
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the folder, the two kinds of export, and their options."""
+    """Add the arguments of `sweep export`: folder, options of the LaTeX export, and options of the crate."""
     add_folder(parser)
     parser.add_argument("--paper", type=Path, metavar="FOLDER", help="write LaTeX tables, figures, numbers and data")
     parser.add_argument(

@@ -33,7 +33,7 @@ begin, policy, figures, PARAMETERS, FIGURES = make_controller(exp.case, exp.sett
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add no flags: every word of the command line is an override of the configuration."""
+    """Add no flags: every word after `sweep export-model` is an override of the configuration."""
     parser.others = is_value
     parser.usage = "sweep export-model scenario=NAME [group.name=value ...] out=DIR"
     parser.description = __doc__
@@ -41,7 +41,7 @@ def add_arguments(parser: Arguments) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the project's files. Raises `InputError` where the scenario cannot be exported or a file is there."""
+    """Export a scenario as a project with a MuJoCo model. Raises `InputError` if it cannot, or a file is there."""
     import yaml
 
     from sweep.backends.binary import model_bytes

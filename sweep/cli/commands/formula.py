@@ -22,7 +22,7 @@ PICTURE_SUFFIXES = (".pdf", ".png", ".svg")
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the formula, values of its inputs, and the form of the output."""
+    """Add the arguments of `sweep formula`: name of the formula, values of its inputs, and form of the output."""
     parser.formatter_class = argparse.HelpFormatter  # wraps the epilog
     parser.description = "Evaluate a closed-form formula from the literature. Without a name, list all formulas."
     parser.epilog = "Elements of a vector are set together (r_s=0.1,0,0.05) or one by one (r_s.0=0.1)."

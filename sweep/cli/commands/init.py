@@ -18,7 +18,7 @@ DOT_FILE_NAMES = {"gitignore": ".gitignore"}  # files that a package cannot hold
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the folder and the kind of project."""
+    """Add the arguments of `sweep init`: folder, and kind of project."""
     parser.add_argument("dir", help="a new or empty folder")
     parser.add_argument(
         "--model", action="store_true", help="with an example MuJoCo model and controller, see docs/own_model.md"

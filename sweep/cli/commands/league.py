@@ -17,7 +17,7 @@ COMMAND = Command(
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the folders or the axis of policies, the conditions, and the race."""
+    """Add the arguments of `sweep league`: folders or axis of policies, conditions, and sequential comparison."""
     parser.add_argument("dirs", type=Path, nargs="+", metavar="DIR", help="folder of each policy; one with --axis")
     parser.add_argument(
         "--axis", metavar="NAME", help="axis of one folder whose values are the policies, such as controller"
@@ -40,7 +40,7 @@ def add_arguments(parser: Arguments) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the ranking and all pairs, or run the race."""
+    """Print the ranking of policies and all pairs of them, or compare policies sequentially (`--anytime`)."""
     from sweep.cli import policy_race
     from sweep.cli.rows import save_output
     from sweep.core import terminal

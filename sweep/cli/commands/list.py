@@ -22,13 +22,13 @@ COMMAND = Command(
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the words that select what is listed."""
+    """Add the argument of `sweep list`: words that select configuration groups, choices or folders."""
     wanted = "a group and words to filter its choices, or folders of results such as results/"
     parser.add_argument("what", nargs="*", help=wanted)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the choices of all groups, of one group, or those that match words; a line for each results folder.
+    """Print the choices of configuration groups, of one group or matching words; or a line for each results folder.
 
     Raises `InputError` where nothing matches.
     """

@@ -17,7 +17,7 @@ COMMAND = Command(
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the scenario overrides that select the policy to check."""
+    """Add the arguments of `sweep policy`: the scenario that selects the policy to check, and overrides."""
     parser.others = is_value
     parser.add_argument("what", choices=["check"], help="evaluate the policy once, at the nominal start")
     parser.add_argument("scenario", help="scenario of the project, whose model has the policy")

@@ -17,7 +17,7 @@ QUESTIONS = ("rate", "difference", "rare", "region")
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the question, the expected probabilities, the goal, and a pilot study."""
+    """Add the arguments of `sweep power`: question, expected probabilities, goal, and folders of a pilot study."""
     parser.description = (
         "Compute how many rollouts answer a question. The expected probabilities are guesses, or come from a pilot "
         "study, whose independent units are then drawn again."
@@ -63,7 +63,7 @@ def add_arguments(parser: Arguments) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the number of rollouts, a table of smaller and larger studies, and the duration."""
+    """Print how many rollouts a study needs, a table of smaller and larger studies, and the expected duration."""
     import json
 
     from sweep.cli import study_size

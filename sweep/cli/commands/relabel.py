@@ -16,14 +16,14 @@ COMMAND = Command(
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the folder and the thresholds."""
+    """Add the arguments of `sweep relabel`: folder, and new thresholds of success."""
     add_folder(parser)
     wanted = "such as 'slip_max_m<0.02'; for a MuJoCo model, a condition such as 'goal=travelled_m >= 1'"
     parser.add_argument("thresholds", nargs="+", metavar="'KEY<VALUE'", help=wanted)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Apply new thresholds or conditions to the stored metrics."""
+    """Judge the stored rollouts of a folder again by new thresholds of success, without simulating."""
     from sweep.report.headline import study_headline
     from sweep.runs import results, runner, store
 

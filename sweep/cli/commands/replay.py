@@ -18,7 +18,7 @@ FORMAT_OPTIONS = ("mcap", "states", "model", "plot", "png", "video")  # options 
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the stored rollout, and what is recorded."""
+    """Add the arguments of `sweep replay`: stored rollout, and files to write."""
     parser.description = "Simulate one stored rollout again and show it."
     parser.add_argument("folder", metavar="DIR", type=Path, help="result folder of a study")
     parser.add_argument("point", metavar="POINT", help="row number, or the beginning of a point_id")

@@ -18,7 +18,7 @@ COMMAND = Command(Section.READ, "write a page about a study (report.html) and it
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the folders, the map's axes, and what is simulated again."""
+    """Add the arguments of `sweep report`: folders, the map's axes, and which rollouts are simulated again."""
     add_folder(parser)
     parser.add_argument(
         "b",
@@ -44,7 +44,7 @@ def add_arguments(parser: Arguments) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the page of a study, and its map or its overview of draws."""
+    """Write the HTML page of a study, and pictures of its map or of the overview of its draws."""
     from sweep.core.expressions import find_column
     from sweep.core.progress import show_counts
     from sweep.report import maps, page, replay_selection, replays, representative

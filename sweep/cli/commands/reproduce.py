@@ -15,7 +15,7 @@ COMMAND = Command(
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the crate, the choice of rows, and the tolerance."""
+    """Add the arguments of `sweep reproduce`: crate (archive of a study), choice of rows, and tolerance."""
     parser.add_argument("crate", type=Path, help="folder or archive that `sweep export DIR --crate` wrote")
     parser.add_argument("--trust", action="store_true", help="allow code of the crate to run, such as its controller")
     parser.add_argument("--rows", type=int, default=20, help="number of rows, drawn at random (20)")
@@ -25,7 +25,7 @@ def add_arguments(parser: Arguments) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Simulate rows of a crate again; exit code 4 if an outcome or metric changed. Raises `InputError`.
+    """Simulate rows of a crate (archive of a study) again; exit code 4 if results changed. Raises `InputError`.
 
     A crate that has code runs only with `--trust`; without it the code is listed.
     """

@@ -31,7 +31,7 @@ exit codes:
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the flags that Hydra does not know; all other words are Hydra's."""
+    """Add the flags of `sweep run` that Hydra does not know; all other words are Hydra's."""
     parser.others = lambda _: True
     parser.allow_abbrev = False
     parser.usage = "sweep run [group=choice ...] [group.name=value ...] [flags]"

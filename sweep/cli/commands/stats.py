@@ -13,7 +13,7 @@ COMMAND = Command(Section.READ, "print rates, volume, margins, tolerance and sen
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the folder, the selection of rows, and what is estimated."""
+    """Add the arguments of `sweep stats`: folder, selection of rows, and what is estimated."""
     add_folder(parser)
     add_where(parser)
     parser.add_argument("--level", type=float, default=0.9, help="probability of success for the tolerance (0.9)")

@@ -11,7 +11,7 @@ COMMAND = Command(Section.READ, "show progress and outcomes of a study")
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the argument for the folder of results."""
+    """Add the argument of `sweep status`: the folder of results."""
     add_folder(parser)
 
 

@@ -21,7 +21,7 @@ COMMAND = Command(Section.READ, "print the rows of a study as a table")
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the folder, the selection of rows and columns, and the format."""
+    """Add the arguments of `sweep table`: folder, selection of rows and columns, and format."""
     add_folder(parser)
     parser.add_argument(
         "--format",

@@ -17,7 +17,7 @@ COMMAND = Command(
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the file of trials, the folder, and the assumed rate of errors."""
+    """Add the arguments of `sweep trials`: file of real trials, folder, and assumed error rate of the simulation."""
     parser.add_argument(
         "file", type=Path, metavar="FILE.csv", help="a line for each trial: columns of axes, and outcome"
     )
@@ -34,7 +34,7 @@ def add_arguments(parser: Arguments) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the calibration of the predictions, and the beliefs before and after the trials."""
+    """Print how well predicted success rates fit real trials, and the parameter distributions before and after them."""
     from sweep.cli import real_trials
     from sweep.cli.rows import save_output
     from sweep.core import terminal

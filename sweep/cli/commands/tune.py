@@ -21,7 +21,7 @@ examples:
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the flags of the search; all other words are values of the configuration."""
+    """Add the flags of the search by `sweep tune`; all other words are values of the configuration."""
     parser.others = is_value
     parser.allow_abbrev = False
     parser.usage = "sweep tune [group=choice ...] [group.name=value ...] out=FILE.yaml [flags]"
@@ -64,7 +64,7 @@ def add_arguments(parser: Arguments) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Search, and write the plan's file. Raises `InputError`."""
+    """Search for better numbers of a plan, and write the plan's file. Raises `InputError`."""
     for flag, least in MIN_FLAG_VALUES.items():
         if getattr(args, flag) < least:
             raise InputError(f"--{flag} = {getattr(args, flag)} is not allowed: at least {least}")

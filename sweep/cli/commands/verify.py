@@ -16,7 +16,7 @@ COMMAND = Command(
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the folder, and how many rows are simulated again."""
+    """Add the arguments of `sweep verify`: folder, and how many rows are simulated again."""
     add_folder(parser)
     parser.add_argument(
         "--simulate", type=int, metavar="N", help="simulate N stored rows again; exit code 4 if a metric changed"

@@ -22,7 +22,7 @@ PAGES_FOLDER = Path("results") / "view"  # of rollouts that belong to no folder
 
 
 def add_arguments(parser: Arguments) -> None:
-    """Add the rollout to show, an optional second rollout, and whether to show them on a page or in MuJoCo's viewer."""
+    """Add the arguments of `sweep view`: one or two rollouts, and where they are shown (page or MuJoCo's viewer)."""
     parser.description = "Simulate a rollout and play it in the browser."
     parser.epilog = EPILOG
     kinds = "DIR ID | group.name=value"

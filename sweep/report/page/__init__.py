@@ -72,7 +72,7 @@ class PageFigure:
 
 
 def write_page(results: Results, path: Path, **options: Any) -> Path:
-    """Write the page of a study.
+    """Write the HTML page of a study to a file.
 
     Args:
         results: study with its rows.
@@ -89,7 +89,7 @@ def write_page(results: Results, path: Path, **options: Any) -> Path:
 
 @dataclass(frozen=True)
 class PairsContent:
-    """Content of a page that compares two studies, in place of that of a single study."""
+    """Headline, figures and tables of a page that compares two studies."""
 
     name: str
     headline: str
@@ -222,7 +222,7 @@ def statistics_as_html(
 
 
 def representative_values(representative: Representative, exp: Experiment) -> Iterator[tuple[str, str]]:
-    """Yield parameters and a few metrics of a representative rollout."""
+    """Yield label and value of the parameters and of a few metrics of a representative rollout."""
     names = [*(c for c in representative.row.index if "." in c), *(c for c in TELLING if c in representative.row)]
     for name in names:
         if shown := tables.format_value(representative.row[name]):

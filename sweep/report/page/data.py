@@ -170,7 +170,7 @@ def split_bytes(values: np.ndarray) -> bytes:
 
 
 def limit_curves(results: Results, rows: pd.DataFrame) -> Any:
-    """Yield the analytic limits of `study.theory` over pairs of parameters."""
+    """Yield the curves of limits that formulas (`study.theory`) predict for one parameter over another."""
     for theory in results.exp.study.theory:
         for of in [c for c in results.numeric_columns if split_side_prefix(c)[1] == theory.of]:
             for along in [c for c in results.numeric_columns if c != of]:
@@ -208,7 +208,7 @@ def refined_cells(results: Results) -> dict[str, Any] | None:
 
 
 def alone_curves(results: Results) -> Iterator[dict[str, Any]]:
-    """Yield the parameters of a study that varies each alone, or only one, with their rows.
+    """Yield the data of the success curve along each parameter that varies alone in a study.
 
     The success rate at each value has its interval where the study's rows are a sample. A study of which the page has
     only a sample of rows, or whose results decide where rollouts are placed, has no such parameters.
@@ -240,7 +240,7 @@ def alone_curves(results: Results) -> Iterator[dict[str, Any]]:
 
 
 def nominal_number(results: Results, column: str) -> float | None:
-    """Nominal value of a parameter; None for a number from which parameters are computed."""
+    """Return the nominal value of a parameter's column; None for a number from which parameters are computed."""
     return None if column.startswith("axis.") else float(results.exp.system.nominal(column, results.exp.settings))
 
 

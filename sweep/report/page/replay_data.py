@@ -75,7 +75,7 @@ def describe_replays(results: Results, shown: Iterable[ShownReplay], room: int) 
 
 
 def thin_to_room(shown: list[ShownReplay], room: int) -> list[ShownReplay]:
-    """Thin out the frames of replays to fit into `room` characters, at least one in `MAX_THINNING`."""
+    """Drop frames of replays until their text fits into `room` characters; at least one in `MAX_THINNING` stays."""
     thin = shown
     for every in range(1, MAX_THINNING + 1):
         thin = [one._replace(replay=_thin(one, every)) if every > 1 else one for one in shown]

@@ -19,7 +19,7 @@ MODULE_TABLE = "DESIGNS"  # name of a module's table
 
 
 def add_designs(module: ModuleType) -> None:
-    """Add the designs of a module to the table of design kinds.
+    """Add the `Design` classes of a module to the kinds that `study.design.kind` allows.
 
     Args:
         module: A module of this package, or of a user. Its `DESIGNS`, if any, are classes by kind.
@@ -54,7 +54,7 @@ def add_designs(module: ModuleType) -> None:
 
 
 def kind_specific_settings(cls: type[Design]) -> dict[str, "dataclasses.Field[Any]"]:
-    """Return the settings of a design kind that not all kinds have, by name."""
+    """Return the dataclass fields of a design class that not all design classes have, by name."""
     common = {member.name for member in dataclasses.fields(Design)}
     return {member.name: member for member in dataclasses.fields(cls) if member.name not in common}
 
@@ -88,7 +88,7 @@ def list_kinds(matches: Callable[[type[Design]], bool]) -> list[str]:
 
 
 def kinds_by_setting() -> dict[str, list[str]]:
-    """Return for each setting that not all design kinds have the kinds that have it."""
+    """Return the design kinds that have a setting, for each setting that not all kinds have."""
     found: dict[str, list[str]] = {}
     for kind, cls in DESIGN_BY_KIND.items():
         for name in kind_specific_settings(cls):

@@ -31,7 +31,7 @@ GRIDS = FULL, ONE_AT_A_TIME = "full", "one_at_a_time"  # how listed axes are com
 
 
 class SamplingUnit(NamedTuple):
-    """The independent unit of a design: the rows of one unit count as one observation."""
+    """What a design draws independently, such as a draw or a trajectory; its rows count as one observation."""
 
     name: str
     # whether draws of a unit are spread more evenly than independent ones: intervals then follow from the spread
@@ -73,7 +73,7 @@ class TrajectoryGrid(NamedTuple):
 
     @property
     def step(self) -> float:
-        """Length of a trajectory step, as a share of the range."""
+        """Length of a step of Morris' trajectories, as a share of the range between lowest and highest quantile."""
         return self.levels / (2 * (self.levels - 1))
 
 
@@ -86,7 +86,7 @@ class DrawContext(NamedTuple):
 
 
 class FailureEstimate(Protocol):
-    """An estimate of the failure probability; its text is one line with numbers of rows and advice."""
+    """An estimate of the probability of failure; `str()` of it gives one line with row counts and advice."""
 
     @property
     def probability(self) -> float:
@@ -106,7 +106,7 @@ class FailureEstimate(Protocol):
 
 @dataclass(frozen=True)
 class Design(ABC):
-    """How listed axes are combined, and how axes with a distribution are drawn."""
+    """Base class of designs: how listed values are combined, and how parameters with a distribution are drawn."""
 
     kind: ClassVar[str]  # how drawn axes are sampled
     meaning: ClassVar[str]  # in one line: what to use it for
@@ -132,7 +132,7 @@ class Design(ABC):
     correlation: tuple[Any, ...] = ()
 
     def check(self, drawn: Sequence[str], listed: Sequence[str]) -> None:
-        """Raise `InputError` if a setting of the design is not allowed or does not fit the axes.
+        """Raise `InputError` if a setting of the design is not allowed or does not fit the varied parameters (axes).
 
         Args:
             drawn: Names of the axes with a distribution.
@@ -161,7 +161,7 @@ class Design(ABC):
 
     @property
     def warning(self) -> str | None:
-        """A warning if the design's settings harm its statistics, or None."""
+        """Text of a warning if the design's settings make its statistics less precise, else None."""
         return None
 
     @property
@@ -178,7 +178,7 @@ class Design(ABC):
         return self.num * self.block_size(d)
 
     def unit_numbers(self, draws: Int[np.ndarray, " n"], d: int) -> Int[np.ndarray, " n"] | None:
-        """Return the number of the independent unit to which each draw belongs.
+        """Return for each draw the number of the sampling unit (draws that depend on each other) that holds it.
 
         Args:
             draws: Numbers of draws.
@@ -190,7 +190,7 @@ class Design(ABC):
         return draws // self.block_size(d)
 
     def select_rate_draws(self, draws: Int[np.ndarray, " n"], d: int) -> Bool[np.ndarray, " n"]:
-        """Return which draws are a plain random sample, so that their share of successes is a rate.
+        """Return which draws (n,) are a plain random sample, whose share of successes estimates the success rate.
 
         Args:
             draws: Numbers of draws.
@@ -199,7 +199,7 @@ class Design(ABC):
         return np.full(len(draws), self.gives_rate)
 
     def with_draws(self, least: int, d: int) -> Self:
-        """Return the design with the smallest `num` that makes at least `least` draws of `d` axes."""
+        """Return a copy of the design with the smallest setting `num` that makes at least `least` draws of `d` axes."""
         return replace(self, num=-(-least // replace(self, num=1).count_draws(d)))
 
     @abstractmethod
@@ -237,7 +237,7 @@ class AdaptiveDesign(Design):
     sensitivity: ClassVar[Sensitivity] = Sensitivity.NONE
 
     def check(self, drawn: Sequence[str], listed: Sequence[str]) -> None:
-        """Raise `InputError` if an axis is listed or has the name of one of the design's columns.
+        """Raise `InputError` if an axis has listed values, or the name of a column that the design stores.
 
         Args:
             drawn: Names of the axes with a distribution.
@@ -250,15 +250,15 @@ class AdaptiveDesign(Design):
             raise InputError(f"study.axes.{min(taken)} is not allowed: {self.kind} has a column of that name")
 
     def unit_numbers(self, draws: Int[np.ndarray, " n"], d: int) -> None:
-        """Return None: draws depend on earlier failures, so that none is independent."""
+        """Return None in place of numbers of independent units: all adaptive draws depend on earlier failures."""
 
     def sample(self, ctx: DrawContext) -> Float[np.ndarray, "n d"]:
-        """Return the draws of the first round."""
+        """Return the draws of the first round of adaptive sampling, as quantiles (n, d)."""
         return next(self.start_search(ctx)).quantiles
 
     @abstractmethod
     def start_search(self, ctx: DrawContext) -> SearchGenerator:
-        """Start the search: a generator that yields rounds of draws and receives their outcomes."""
+        """Start the search for failures: a generator that yields rounds of draws and receives their outcomes."""
 
     @property
     @abstractmethod
@@ -281,7 +281,7 @@ class AdaptiveDesign(Design):
     def weigh_rows(
         self, rows: "pd.DataFrame", ctx: DrawContext
     ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """Return two weights of each row: as a draw from the nominal distribution, and as a failure.
+        """Return the weights of rows as draws of the nominal distribution, and those of failures in their probability.
 
         Args:
             rows: All rows of the study.
@@ -295,7 +295,7 @@ class AdaptiveDesign(Design):
         """
 
     def summarize(self, rows: "pd.DataFrame", draws: RoundDraws) -> RoundSummary:
-        """Summarize the rows of a round for the search.
+        """Return which draws of a round failed, and their values of the metric that shrinks towards failure.
 
         Args:
             rows: Finished rows of the study, including those of the round.
@@ -310,7 +310,7 @@ class AdaptiveDesign(Design):
         return summarize_round(rows, draws, DEFAULT_LEAD_COLUMN)
 
     def replay_search(self, rows: "pd.DataFrame", ctx: DrawContext) -> Any:
-        """Run the search again on stored rows without simulating.
+        """Run the search for failures again with the outcomes of stored rows, without simulating.
 
         Args:
             rows: Finished rows of the study.

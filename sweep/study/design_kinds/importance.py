@@ -54,15 +54,15 @@ class Importance(AdaptiveDesign):
         return self.num
 
     def count_draws(self, d: int) -> int:
-        """Return the number of draws in all rounds."""
+        """Return the number of draws in all rounds of importance sampling."""
         return self.num * (self.rounds + 1)
 
     def start_search(self, ctx: DrawContext) -> SearchGenerator:
-        """Start the search, a generator of rounds of draws."""
+        """Start importance sampling: a generator that yields rounds of draws and receives their outcomes."""
         return importance_sampling.start_search(len(ctx.axes), self.num, self.wide, self.rounds, ctx.seed)
 
     def estimate_failure(self, rows: "pd.DataFrame", ctx: DrawContext) -> "WeightedEstimate":
-        """Estimate the probability of failure by the weights of the last round.
+        """Estimate the probability of failure from the importance weights of the failures in the last round.
 
         The interval is that of a log-normal estimate; without a failure the bound follows from the share of plain draws
         in the proposal.
@@ -97,8 +97,7 @@ class Importance(AdaptiveDesign):
         )
 
     def weigh_rows(self, rows: "pd.DataFrame", ctx: DrawContext) -> tuple[np.ndarray, np.ndarray]:
-        """Return two weights of each row (n,), as a nominal draw and as a failure; only rows of the last round have
-        weight.
+        """Return the importance weights (n,) of all rows, and the same with 0 for all but failures of the last round.
 
         Args:
             rows: All rows of the study.
@@ -133,7 +132,7 @@ class WeightedEstimate:
 
     @property
     def is_reliable(self) -> bool:
-        """Whether no single row carries more than `MAX_RELIABLE_SHARE` of the weighted sum."""
+        """Whether no single row makes up more than the share `MAX_RELIABLE_SHARE` of the estimated probability."""
         return self.failed > 0 and self.largest_weight_share <= MAX_RELIABLE_SHARE
 
     def __str__(self) -> str:

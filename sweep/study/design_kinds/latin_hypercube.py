@@ -8,7 +8,7 @@ from sweep.study.design_kinds.base import EVEN_DRAW, Design, DrawContext, Sampli
 
 
 class LatinHypercube(Design):
-    """Latin hypercube; another number of draws changes every draw."""
+    """Latin hypercube sampling: one draw in each of `num` strata of every axis; another `num` changes every draw."""
 
     kind: ClassVar[str] = "latin_hypercube"
     meaning: ClassVar[str] = "rates and means with less scatter; the number of draws is fixed"
@@ -17,11 +17,11 @@ class LatinHypercube(Design):
 
     @property
     def sampling_unit(self) -> SamplingUnit:
-        """Return the draw as the unit. Draws share the strata of each axis between them."""
+        """The single draw counts as one observation; draws fill each axis more evenly than independent ones."""
         return EVEN_DRAW
 
     def sample(self, ctx: DrawContext) -> np.ndarray:
-        """Draw one point in each stratum of every axis."""
+        """Draw quantiles (n, d), one in each of n equal strata of every axis."""
         from scipy.stats import qmc  # slow to import
 
         return qmc.LatinHypercube(len(ctx.axes), rng=np.random.default_rng([ctx.seed])).random(self.num)

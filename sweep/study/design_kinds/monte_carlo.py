@@ -11,7 +11,7 @@ RARE_PROBABILITY = 0.1  # failure probability from which on independent draws ar
 
 
 class MonteCarlo(Design):
-    """Independent draws; more draws or one more axis leave the others as they are."""
+    """Independent random draws; adding draws or one more axis leaves the existing draws as they are."""
 
     kind: ClassVar[str] = "monte_carlo"
     meaning: ClassVar[str] = "rates; you can add draws later"

@@ -8,7 +8,10 @@ from sweep.study.design_kinds.base import Design, DrawContext, SamplingUnit, Sen
 
 
 class Morris(Design):
-    """Morris' trajectories of d + 1 draws, on a grid that leaves out 0 and 1, where some distributions are infinite."""
+    """Morris' screening design: trajectories of d + 1 draws, each of which changes one axis, on a grid of quantiles.
+
+    The grid leaves out 0 and 1, where some distributions are infinite.
+    """
 
     kind: ClassVar[str] = "morris"
     meaning: ClassVar[str] = "screening of many axes"

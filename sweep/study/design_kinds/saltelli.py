@@ -10,8 +10,7 @@ from sweep.study.design_kinds.sobol import warn_of_unbalanced_draws
 
 
 class Saltelli(Design):
-    """Saltelli's design: blocks of a draw of sample A, d copies of it with one coordinate of B each, and a draw of
-    B."""
+    """Saltelli's design for Sobol indices: blocks of a draw A, d copies of A with one value of a draw B, and B."""
 
     kind: ClassVar[str] = "saltelli"
     meaning: ClassVar[str] = "Sobol indices"
@@ -28,7 +27,7 @@ class Saltelli(Design):
 
     @property
     def sampling_unit(self) -> SamplingUnit:
-        """Return the block as the unit. Blocks are of one Sobol sequence."""
+        """The block of d + 2 draws, whose rows count as one observation."""
         return SamplingUnit("block", is_independent=False)
 
     def block_size(self, d: int) -> int:

@@ -15,7 +15,7 @@ SCRAMBLE = SamplingUnit("scramble", is_even=True)
 
 @dataclass(frozen=True)
 class Sobol(Design):
-    """Sobol sequences with independent scrambles, whose draws alternate; more draws come last."""
+    """Draws from scrambled Sobol sequences, taken from each independent scramble in turn; new draws come last."""
 
     kind: ClassVar[str] = "sobol"
     meaning: ClassVar[str] = (
@@ -57,7 +57,7 @@ class Sobol(Design):
         return self.num * self.scrambles
 
     def unit_numbers(self, draws: np.ndarray, d: int) -> np.ndarray:
-        """Return the number of the scramble of each draw (n,), or of the draw if there is one scramble.
+        """Return the number (n,) of the scrambled sequence that each draw is from; with one sequence, that of the draw.
 
         Args:
             draws: Numbers of draws (n,).
@@ -77,7 +77,7 @@ class Sobol(Design):
 
 
 def warn_of_unbalanced_draws(num: int) -> str | None:
-    """Return a warning if `num` draws of a Sobol sequence are not balanced, or None."""
+    """Return a warning if the number of draws of a Sobol sequence is not a power of 2, else None."""
     if num & (num - 1):
         return f"study.design.num = {num} is not a power of 2: estimates from Sobol draws get less precise"
     return None

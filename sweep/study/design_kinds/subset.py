@@ -30,7 +30,7 @@ OTHER_DESIGN_ADVICE = f"try another study.design.lead, study.design.kind={Import
 
 @dataclass(frozen=True)
 class Subset(AdaptiveDesign):
-    """Subset simulation: independent runs follow a metric level by level to the failures."""
+    """Subset simulation: independent runs approach rare failures in levels of ever smaller values of a metric."""
 
     kind: ClassVar[str] = "subset"
     meaning: ClassVar[str] = "failure probabilities below 1e-5, where a metric leads to the failures"
@@ -85,15 +85,15 @@ class Subset(AdaptiveDesign):
         return self.runs * self.level_settings.chain_count
 
     def count_draws(self, d: int) -> int:
-        """Return the number of draws of all runs if each uses all levels."""
+        """Return the largest number of draws: that of all runs of subset simulation if each one uses all levels."""
         return self.runs * self.level_settings.max_rollouts if self.num else 0
 
     def start_search(self, ctx: DrawContext) -> SearchGenerator:
-        """Start the search, a generator of rounds of draws."""
+        """Start subset simulation: a generator that yields rounds of draws and receives their outcomes."""
         return subset_simulation.start_search(len(ctx.axes), self.level_settings, self.runs, ctx.seed)
 
     def summarize(self, rows: "pd.DataFrame", draws: RoundDraws) -> RoundSummary:
-        """Summarize a round's rows by failures and values of the column or expression `lead`.
+        """Return which draws of a round failed, and their values of `lead`, a metric that shrinks towards failure.
 
         Args:
             rows: Finished rows of the study, including those of the round.
@@ -117,7 +117,7 @@ class Subset(AdaptiveDesign):
         return SubsetEstimate(self.target, tuple(runs))
 
     def weigh_rows(self, rows: "pd.DataFrame", ctx: DrawContext) -> tuple[np.ndarray, np.ndarray]:
-        """Return two weights of each row (n,), as a nominal draw (1 in the first level) and as a failure.
+        """Return the weights (n,) of rows as nominal draws (1 in the first level, else 0), and those of failures.
 
         Args:
             rows: All rows of the study.
@@ -161,13 +161,13 @@ class SubsetEstimate:
 
     @property
     def variation(self) -> float:
-        """Coefficient of variation of the mean; NaN for a single run."""
+        """Coefficient of variation of the estimated failure probability, by the spread of runs; NaN for one run."""
         each = self.run_probabilities
         return float(each.std(ddof=1) / np.sqrt(len(each)) / each.mean()) if len(each) > 1 and each.any() else np.nan
 
     @property
     def interval(self) -> tuple[float, float]:
-        """The 95 % interval: log-normal, with Student's t for the number of runs; NaN for a single run."""
+        """The 95 % interval of the failure probability (log-normal, Student's t over runs); NaN for a single run."""
         from scipy.stats import t
 
         width = t.ppf(0.5 + CONFIDENCE_LEVEL / 2, max(len(self.runs) - 1, 1)) * np.sqrt(np.log1p(self.variation**2))
@@ -175,7 +175,7 @@ class SubsetEstimate:
 
     @property
     def is_reliable(self) -> bool:
-        """Whether every run reached the failure region."""
+        """Whether every run of subset simulation reached failures."""
         return not self.stuck_runs
 
     def __str__(self) -> str:
