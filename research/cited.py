@@ -81,7 +81,8 @@ def read(name: str) -> dict[str, Any]:
 def rate(name: str) -> str:
     """`239 of 375 succeed`, and how many are invalid."""
     data = read(name)
-    broken = f" ({data['invalid']:,} more are invalid)" if data["invalid"] else ""
+    are = "is" if data["invalid"] == 1 else "are"
+    broken = f" ({data['invalid']:,} more {are} invalid)" if data["invalid"] else ""
     return f"{data['success']:,} of {data['valid']:,} succeed{broken}"
 
 

@@ -50,7 +50,7 @@ def test_other_data_are_another_page(monkeypatch, tmp_path):
     data = {"success": 3, "valid": 4, "invalid": 1, "along": {"x": [[0.5, 3, 4, 1]]}, "code": "before"}
     (tmp_path / "pole.json").write_text(json.dumps(data))
     assert cited.filled(text) == (
-        "<!-- data pole: rate --> 3 of 4 succeed (1 more are invalid) <!-- end --> and "
+        "<!-- data pole: rate --> 3 of 4 succeed (1 more is invalid) <!-- end --> and "
         "<!-- data pole: along, x -->\n| x | succeed |\n|--:|:--|\n| 0.5 | 3 of 4 (30 to 95 %) |\n<!-- end -->"
     )
     assert cited.outdated(text) == "Measured before the code of this site: pole."
