@@ -131,7 +131,7 @@ class System(Protocol):
         ...
 
     def iterate_physical_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
-        """Yield path and nominal value of each physical parameter of a rollout, in world and belief.
+        """Yield path and nominal value of every physical input of a rollout, such as masses and numbers of plans.
 
         Args:
             paths: Paths that vary.
@@ -250,7 +250,7 @@ def split_side_prefix(column: str) -> tuple[str, str]:
 
 
 def split_world_and_belief(values: ColumnValues) -> dict[str, dict[str, Any]]:
-    """Split values by column into those of the simulated world and those of the planner's belief, by path."""
+    """Return the values for world and for belief by path, without engine settings; columns for both apply first."""
     placed = [
         (*split_side_prefix(column), value) for column, value in values.items() if not column.startswith("engine.")
     ]
