@@ -32,12 +32,12 @@ class LeagueRows:
 
     @property
     def unit_count(self) -> int:
-        """Number of independent units (rows that depend on each other); 0 if the points are not a random sample."""
+        """Number of independent units (group of dependent rows); 0 if the points are not a random sample."""
         return 0 if self.unit is None else len(np.unique(self.unit))
 
 
 def sum_by_unit(success: np.ndarray, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sum the successes of each policy over the points of each independent unit (rows that depend on each other).
+    """Sum the successes of each policy over the points of each independent unit (group of dependent rows).
 
     Args:
         success: Whether each policy succeeds at each point (n, policies).
@@ -251,7 +251,7 @@ class Race:
         self.better = np.zeros(shape, bool)
 
     def add_units(self, shares: np.ndarray) -> None:
-        """Add the success rates of independent units (rows that depend on each other), and decide pairs of policies.
+        """Add the success rates of independent units (group of dependent rows), and decide pairs of policies.
 
         Args:
             shares: Success rate of each policy in each unit (u, policies), NaN where it has none.

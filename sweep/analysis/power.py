@@ -258,7 +258,7 @@ def certification_power(draws: int, share: float, rate: float, failures: float, 
 
 
 class UnitCounts(NamedTuple):
-    """Successes and rollouts of each independent unit (rows that depend on each other) of a small first study."""
+    """Successes and rollouts of each independent unit (group of dependent rows) of a small first study."""
 
     won: np.ndarray  # (u,)
     trials: np.ndarray  # (u,)
@@ -266,7 +266,7 @@ class UnitCounts(NamedTuple):
 
 
 def count_units(success: np.ndarray, unit: np.ndarray, is_even: bool) -> UnitCounts:
-    """Count the successes and the rows of each independent unit (rows that depend on each other).
+    """Count the successes and the rows of each independent unit (group of dependent rows).
 
     Args:
         success: Whether each valid row succeeded (n,).

@@ -180,7 +180,7 @@ def race_policies(args: argparse.Namespace) -> str:
 
 
 def unit_shares(rows: list[pd.DataFrame], exps: list[Experiment]) -> np.ndarray:
-    """Return the success rate of each policy in each independent unit (rows that depend on each other).
+    """Return the success rate of each policy in each independent unit (group of dependent rows).
 
     Args:
         rows: Rows of each policy.

@@ -61,7 +61,7 @@ class LiveColumn(ProgressColumn):
         self.text = text
 
     def render(self, task: Task) -> Text:
-        """Return the column's current text."""
+        """Return the present text of the progress bar's column."""
         return Text(self.text(), no_wrap=True)
 
 

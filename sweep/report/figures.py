@@ -315,7 +315,7 @@ def metric_thresholds(results: Results) -> dict[str, float]:
 
 
 def metrics_with_threshold_first(results: Results) -> list[str]:
-    """Return the metrics that differ between rollouts, those with a threshold first."""
+    """Return the names of the metrics that differ between rollouts, those with a threshold of success first."""
     judged, silent = metric_thresholds(results), results.exp.system.bookkeeping_metrics
     names = [c for c in metric_columns(results.rows) if c not in silent and results.rows[c].dtype.kind == "f"]
     names = [c for c in names if results.rows[c].max() > results.rows[c].min()]

@@ -28,7 +28,7 @@ def outcome_kind(rows: pd.DataFrame) -> pd.Series:
 
 
 def kind_meaning(kind: str, exp: Experiment) -> str:
-    """Describe the meaning of success, or of a cause, in a sentence."""
+    """Describe in a sentence what success, or a failure cause, means."""
     nothing = "no cause of failure or invalidity occurred"
     return exp.system.cause_meanings(exp.thresholds).get(kind, nothing)
 

@@ -55,7 +55,7 @@ def describe_unread_axes(exp: Experiment, table: pd.DataFrame) -> list[str]:
 
 
 def describe_ineffective_axes(exp: Experiment, rows: pd.DataFrame) -> list[str]:
-    """List the axes that changed no metric of finished rows.
+    """List the axes (varied parameters) whose variation changed no metric in finished rows.
 
     Rows that differ in one axis alone decide; if there are none, as among draws, the traced program does.
 

@@ -72,7 +72,7 @@ class Job:
 
     @cached_property
     def labels_digest(self) -> str:
-        """Digest of the thresholds by which rows are labelled."""
+        """Digest of the thresholds that judge rows as success or failure."""
         return labels_id(self.exp.values)
 
     def missing_batches(self) -> list[int]:
@@ -212,7 +212,7 @@ def repair_folder(exp: Experiment, folder: Path) -> list[str]:
 
 
 def refuse_other_study(stored: Mapping[str, Any], exp: Experiment, folder: Path) -> None:
-    """Raise `InputError` unless new rows of the experiment belong with the rows in a folder.
+    """Raise `InputError` if settings or code of the experiment differ from those of the rows in a folder.
 
     Args:
         stored: Content of the folder's `study.yaml`.
