@@ -18,7 +18,7 @@ FORE = (-1.0, -1.0, 0.0, 0.0, 1.0, 1.0)  # direction of rear, middle and front l
 
 
 def centre_of_mass(robot: Robot, stance: Stance) -> Float[Array, " 3"]:
-    """Return the mass centre r_m (m, world axes) of a robot in a given stance: monograph (3.1.9).
+    """Return the centre of mass r_m (m, world axes) of a robot in a given stance: monograph (3.1.9).
 
     Args:
         robot: the robot, as believed.
@@ -28,8 +28,7 @@ def centre_of_mass(robot: Robot, stance: Stance) -> Float[Array, " 3"]:
 
 
 def mass_centre_jacobian(robot: Robot, stance: Stance) -> Float[Array, "2 2"]:
-    """Return the Jacobian D (2, 2) of the mass centre's horizontal position by the base's while the feet stand:
-    (3.1.1).
+    """Return the Jacobian D (2, 2): horizontal motion of the mass centre per motion of the base, feet fixed; (3.1.1).
 
     Args:
         robot: the robot, as believed.
@@ -94,8 +93,7 @@ def angular_momentum(robot: Robot, ball: Ball, obs: Observation) -> Float[Array,
 
 
 def lean_impulse(momentum: Float[Array, " 3"], mass: Array | float) -> Float[Array, " 2"]:
-    """Return the lean of the mass centre times its duration (m s) that cancels the angular momentum K_S: K_S x g/(m
-    g^2).
+    """Return the lean of the mass centre times its duration (m s) that cancels the angular momentum of robot and ball.
 
     Args:
         momentum: angular momentum K_S (N m s), world axes.
@@ -105,7 +103,7 @@ def lean_impulse(momentum: Float[Array, " 3"], mass: Array | float) -> Float[Arr
 
 
 def ball_footholds(radius: Array | float, circle: Array | float, chord: Array | float) -> Float[Array, "6 3"]:
-    """Return the footholds of the six feet on a ball relative to its centre (m), x ahead: list after fig. 3.1.7.
+    """Return the footholds of the six feet on a ball, in m from its centre, with x pointing ahead of the robot.
 
     The printed list exchanges legs i and 7 - i.
 
@@ -123,7 +121,7 @@ def ball_footholds(radius: Array | float, circle: Array | float, chord: Array | 
 def rotate_footholds_backward(
     feet: Float[Array, "6 3"], alpha: Array | float, along: Float[Array, " 2"]
 ) -> Float[Array, "6 3"]:
-    """Return footholds on a ball turned back by an angle against the ball's direction of motion.
+    """Rotate footholds on a ball by an angle `alpha` (rad) opposite to the direction in which the ball rolls.
 
     A ball that rolls forward carries the feet on its top forward. Their circle is thus as far behind the vertical at
     touchdown as it is ahead of it at lift-off.

@@ -23,7 +23,7 @@ TURNING[RIGHT] = TURNING[LEFT] = True
 
 
 class FlywheelGains(NamedTuple):
-    """Feedback gains of the flywheel controller, c_1 to c_6 of monograph 2.6.2; made by the beam manoeuvres."""
+    """Feedback gains c_1 to c_6 of the controller that balances on a beam with the middle legs: monograph 2.6.2."""
 
     c1: Array | float  # N/m
     c2: Array | float  # N s/m
@@ -37,17 +37,17 @@ class FlywheelGains(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Flywheel(Layer):
-    """Tracker layer that balances the body with the middle legs as a flywheel, over S stages."""
+    """Tracker layer that balances the body on a beam by swinging the middle legs like a flywheel."""
 
     mode: Int[Array, " s"]  # `LOCKED`, `LEVELLING` or `BALANCE`
     gains: FlywheelGains
 
     def ignores_base_pose(self, stage: Int[Array, ""]) -> Bool[Array, ""]:
-        """Return True while the robot balances on two feet: its base tilts about them."""
+        """Return whether the robot balances on two feet in this stage; its base then tilts about them."""
         return self.mode[stage] == BALANCE
 
     def modify_command(self, ctx: TickContext, state: None, command: Command) -> tuple[None, Command]:
-        """Put the middle legs under torque control, with the measured angles as their joint targets."""
+        """Put the middle legs under torque control, with their measured angles as joint targets."""
         turning, servo = self.servo_command(ctx.robot, ctx.plan, ctx.stage, ctx.obs)
         joints = jnp.where(turning, ctx.obs.angles, command.joints)  # where position mode takes over from
         return state, command._replace(joints=joints, servo=(turning, servo))
@@ -55,7 +55,7 @@ class Flywheel(Layer):
     def servo_command(
         self, robot: Robot, plan: Plan, stage: Int[Array, ""], obs: Observation
     ) -> tuple[Bool[Array, "6 3"], ServoCommand]:
-        """Return which joints are under torque control and their servo law.
+        """Return which joints (6, 3) are under torque control, and the servo law that gives their torques.
 
         While the robot balances, M_3 = -(c_1 xi_c + c_2 xi_c')/2 - M_g, where xi_c is the distance of the mass centre
         to the left of the planned line. While four feet stand, M_3 = c_5 (beta_3 - pi/2) - c_6 beta_3' - M_g. Leg 4
@@ -91,7 +91,7 @@ class Flywheel(Layer):
 
 
 def leg_weight_moment(robot: Robot) -> Array | float:
-    """Return the moment of a straight, level leg's weight about its hip (N m): (m_1 + m_2) g l_c."""
+    """Return the moment (N m) of a straight, level leg's weight about its hip."""
     return GRAVITY * (robot.thigh_mass * robot.thigh / 2 + robot.shin_mass * (robot.thigh + robot.shin / 2))
 
 

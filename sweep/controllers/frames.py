@@ -10,7 +10,7 @@ from sweep.models.posture import Stance
 
 
 def to_world(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeState) -> Float[Array, "n 3"]:
-    """Transform points from their coordinate frames (numbered by `frame`) to world axes.
+    """Transform points (m) to world axes, each from its own coordinate frame: the world or a free body.
 
     Args:
         points: points (m), each in its own frame.
@@ -25,7 +25,7 @@ def to_world(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeSta
 
 
 def to_frame(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeState) -> Float[Array, "n 3"]:
-    """Transform points from world axes to their coordinate frames; the inverse of `to_world`.
+    """Transform points (m) from world axes, each to its own coordinate frame: the world or a free body.
 
     Args:
         points: points (m), world axes.
@@ -53,7 +53,7 @@ def surface_under(obstacle: Obstacle, feet: Float[Array, "6 3"], frame: Int[Arra
 
 
 def stance_to_world(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""], free: FreeState) -> Stance:
-    """Transform a stance from the frames of its feet and base to world axes; only body-fixed frames turn the base.
+    """Transform a stance (feet and base pose) from the coordinate frames of its feet and base to world axes.
 
     Args:
         stance: feet and base in their frames.
@@ -68,7 +68,7 @@ def stance_to_world(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""]
 
 
 def stance_to_frame(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""], free: FreeState) -> Stance:
-    """Transform a stance from world axes to the frames of its feet and base; the inverse of `stance_to_world`.
+    """Transform a stance (feet and base pose) from world axes to the coordinate frames of its feet and base.
 
     Args:
         stance: feet and base, world axes.

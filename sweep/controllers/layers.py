@@ -29,7 +29,7 @@ LONE_CREEP_FACTOR = 3.0
 
 
 class TickContext(NamedTuple):
-    """State of one control tick that tracker layers and guided manoeuvres receive; made by the tracker."""
+    """Stage, clock, measurements and plan in one control tick, as tracker layers and feedback laws receive them."""
 
     robot: Robot  # as believed
     plan: Plan
@@ -46,7 +46,7 @@ class TickContext(NamedTuple):
 
 
 class Command(NamedTuple):
-    """Output of the controller in one tick, made by the tracker."""
+    """Output of the controller in one tick: joint targets, and the stance that they should produce."""
 
     joints: Float[Array, "6 3"]  # rad, joint targets
     target: Stance  # stance that the targets should bring about
@@ -59,7 +59,7 @@ class Command(NamedTuple):
 
 
 class Layer:
-    """Base class of tracker layers; each hook leaves its input unchanged unless a subclass overrides it.
+    """Base class of tracker layers, which modify the tracker's commands; by default each method changes nothing.
 
     The tracker calls the hooks in every tick, in the order in which the layers stand in the plan.
     """
@@ -70,7 +70,7 @@ class Layer:
     )
 
     def init_state(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> Any:
-        """Return the layer's state before the first tick.
+        """Return the tracker layer's state before the first tick.
 
         Args:
             start: stance of the plan's start, in the frames of its first stage.
@@ -107,11 +107,11 @@ class Layer:
         return state, free
 
     def ignores_base_pose(self, stage: Int[Array, ""]) -> Bool[Array, ""] | bool:
-        """Return whether the measured base pose must not be used to correct the feet in this stage."""
+        """Return whether the tracker must not correct the feet by the measured base pose in this stage."""
         return False
 
     def update_footholds(self, ctx: TickContext, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
-        """Return the footholds of the current stage (m, in its frames) for this tick."""
+        """Return the footholds of the current stage (m, in the coordinate frame of each foot) for this tick."""
         return feet
 
     def advance_late_feet(
@@ -131,11 +131,11 @@ class Layer:
         return feet
 
     def modify_stance(self, ctx: TickContext, state: Any, target: Stance) -> tuple[Any, Stance]:
-        """Return the layer's state and the stance to command, given the planned stance `target` (both world axes)."""
+        """Return the layer's state and the stance to command in place of the planned stance `target` (world axes)."""
         return state, target
 
     def modify_command(self, ctx: TickContext, state: Any, command: Command) -> tuple[Any, Command]:
-        """Return the layer's state and the modified command."""
+        """Return the tracker layer's state, and the command of this tick as the layer modifies it."""
         return state, command
 
     def modify_joint_targets(self, ctx: TickContext, joints: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
@@ -153,12 +153,12 @@ class GradualFootholdState(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class GradualFootholds(Layer):
-    """Layer that moves feet gradually to the footholds of a new stage, since a jump would make the drives jerk."""
+    """Tracker layer that moves feet gradually to the footholds of a new stage, so that drives get no jump."""
 
     time: Float[Array, ""]  # s, duration of the transition
 
     def init_state(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> GradualFootholdState:
-        """Return the initial state, with all feet at their footholds."""
+        """Return the layer's state before the first tick, with all feet at their footholds."""
         return GradualFootholdState(start.feet, jnp.zeros_like(start.feet))
 
     def modify_stance(
@@ -175,7 +175,7 @@ class GradualFootholds(Layer):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class HeldLegs(Layer):
-    """Layer for legs that follow joint angles instead of footholds, for each of S stages.
+    """Tracker layer for legs that follow planned joint angles instead of footholds, for each of S stages.
 
     Made from `Stage.posture`. The state is the joint angles (rad) at the start of the stage.
     """
@@ -184,13 +184,13 @@ class HeldLegs(Layer):
     joints: Float[Array, "s 6 3"]  # rad, at the end of the stage
 
     def init_state(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> Float[Array, "6 3"]:
-        """Return the joint angles (rad) at the start."""
+        """Return the layer's state before the first tick: the joint angles (rad) at the start."""
         return joints
 
     def modify_command(
         self, ctx: TickContext, state: Float[Array, "6 3"], command: Command
     ) -> tuple[Float[Array, "6 3"], Command]:
-        """Move these legs along a straight line in joint space with trapezoidal timing; their reach is not checked."""
+        """Move the held legs in a straight line in joint space, accelerating and braking evenly; no reach limits."""
         origin, held = jnp.where(ctx.is_first_tick, ctx.joints, state), self.held[ctx.stage]
         goal = nearest_equivalent_angle(self.joints[ctx.stage], origin)
         posed = origin + stepping.trapezoidal_transfer(ctx.phase, 0.0, 1.0)[0] * (goal - origin)
@@ -204,7 +204,7 @@ class HeldLegs(Layer):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class ForceFeedforward(Layer):
-    """Layer that produces planned foot forces by offsets of joint targets, at K instants of each of S stages.
+    """Tracker layer that produces planned foot forces by offsets of joint targets, at K instants of each of S stages.
 
     A planned force is commanded as an offset of the joint targets. The force acts as planned only if the foothold is
     exactly where the foot stands: with stiff drives, an error of 1 mm is a force as large as the robot's weight.
@@ -237,7 +237,7 @@ class ForceFeedforward(Layer):
     def modify_stance(
         self, ctx: TickContext, state: Float[Array, " 6"], target: Stance
     ) -> tuple[Float[Array, " 6"], Stance]:
-        """Move feet that have not touched down yet farther into the surface, and faster after `CREEP_TIME`.
+        """Move feet whose touchdown is late farther into the surface, and faster after `CREEP_TIME` seconds.
 
         A foot that may carry load is excluded, since it would push the base away. The extra motion starts once the
         measured load would have shown a touchdown in time.
@@ -251,7 +251,7 @@ class ForceFeedforward(Layer):
         return state, target._replace(feet=feet)
 
     def update_footholds(self, ctx: TickContext, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
-        """Let the footholds of loaded standing feet follow the measured feet.
+        """Shift the footholds of loaded standing feet towards the measured feet.
 
         The time constant is at least the lag of the loads, so that a foot that just left or landed is not followed by
         mistake for long.
@@ -277,14 +277,14 @@ class ForceFeedforward(Layer):
         return feet + jnp.where(plan.swing[stage][:, None], distance, 0.0)
 
     def modify_joint_targets(self, ctx: TickContext, joints: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
-        """Add the joint offsets that produce the planned forces."""
+        """Return the joint targets (rad) plus the offsets that make the drives produce the planned foot forces."""
         return joints + interpolate_moments(self.offset, ctx.stage, ctx.phase)
 
 
 def interpolate_moments(
     values: Float[Array, "s k 6 3"], stage: Int[Array, ""], phase: Float[Array, ""]
 ) -> Float[Array, "6 3"]:
-    """Interpolate linearly between values given at evenly spaced times of each stage.
+    """Interpolate linearly in time between values given at evenly spaced instants of each stage.
 
     Args:
         values: values at k evenly spaced moments, from the start to the end of each stage.

@@ -39,7 +39,7 @@ class Observation(NamedTuple):
 
 
 class SensorBiases(NamedTuple):
-    """Constant sensor errors of one rollout, drawn by `draw_biases`. World axes."""
+    """Constant sensor errors of one rollout in world axes, drawn by `draw_biases`."""
 
     position: Float[Array, " 3"]  # m
     turn: Float[Array, " 3"]  # rad, rotation vector
@@ -62,7 +62,7 @@ class SensorState(NamedTuple):
 
 
 def draw_biases(noise: Noise, key: Array) -> SensorBiases:
-    """Draw the constant errors of the robot's sensors for one rollout.
+    """Draw the constant errors of all sensors of the robot for one rollout.
 
     Args:
         noise: standard deviations of the biases, and fixed offsets that are added.
@@ -99,7 +99,7 @@ def draw_body_biases(noise: Noise, key: Array, free: FreeState) -> Float[Array, 
 
 
 def init_sensors(noise: Noise, key: Array, truth: Observation, has_errors: bool = True) -> SensorState:
-    """Draw a rollout's biases and fill the history with the state at the start.
+    """Return the sensors' state at the start: drawn biases, and a history filled with the state at the start.
 
     Args:
         noise: sensor errors and the length of the delay buffer, which is at least the longest delay in ticks.
@@ -121,7 +121,7 @@ def init_sensors(noise: Noise, key: Array, truth: Observation, has_errors: bool 
 def observe(
     noise: Noise, sensors: SensorState, truth: Observation, key: Array, tick: Array | int
 ) -> tuple[SensorState, Observation]:
-    """Return the measurement of a true state with delay, bias and noise.
+    """Return the sensor measurement of a true state, with delay, bias and noise.
 
     Joint errors act on the feedback of the drives in the same tick, hence they are not delayed.
 

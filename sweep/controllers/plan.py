@@ -39,7 +39,7 @@ STAND = 0.5  # s, standing before the first and after the last swing
 
 
 class SupportMotion(NamedTuple):
-    """Reference motion of the free body that supports the robot in a stage, starting from its measured state.
+    """Reference motion of the free body (such as a ball) that carries the robot in a stage, from its measured state.
 
     - `TO_VELOCITY`: to a velocity and angular velocity at the end of the stage, at constant acceleration: monograph
       (3.3.5). A starting velocity into the floor counts as 0: a ball that rattles on the floor falls for some ticks,
@@ -61,7 +61,7 @@ RESTS, STAYS = SupportMotion(TO_VELOCITY), SupportMotion(KEPT)
 
 @dataclass(frozen=True)
 class Stage:
-    """One stage of a plan as manoeuvres write it; fields that are None keep the value of the previous stage."""
+    """One stage of a plan as manoeuvres write it; fields that are None repeat the previous stage."""
 
     name: str
     duration: Array | float  # s
@@ -98,7 +98,7 @@ class Stage:
 
 
 class SwingCurves(NamedTuple):
-    """Swing curves of all six feet as arrays over S stages."""
+    """Paths of all six feet during their swings, as arrays over S stages."""
 
     cycle: Int[Array, " s"]
     height: Float[Array, " s"]  # m
@@ -109,7 +109,7 @@ class SwingCurves(NamedTuple):
 
 
 class BasePaths(NamedTuple):
-    """Path of the base and its timing as arrays over S stages."""
+    """Path of the base and its timing in each stage, as arrays over S stages."""
 
     pace: Int[Array, " s"]
     rates: Float[Array, "s 2"]
@@ -120,7 +120,7 @@ class BasePaths(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Plan:
-    """A plan as arrays over S stages, made by `compile_plan`; static fields are known at compile time."""
+    """A motion plan that the tracker follows: footholds, base poses and times of S stages as arrays."""
 
     names: tuple[str, ...] = field(metadata={"static": True})
     start: Stance
@@ -181,7 +181,7 @@ def path_length(plan: Plan) -> Float[Array, ""]:
 
 
 def swing_progress(cycle: Int[Array, ""], carry: Array, phase: Float[Array, ""]) -> tuple[Array, Array]:
-    """Return progress lambda (0 to 1) and lift y' + y_s of a swinging foot at a phase.
+    """Return how far a swinging foot is on its way (0 to 1), and its lift over the stage's swing height, at a phase.
 
     Args:
         cycle: swing profile, such as `CYCLE_A`.
@@ -203,7 +203,7 @@ def swing_progress(cycle: Int[Array, ""], carry: Array, phase: Float[Array, ""])
 
 
 def is_guided_by_law(plan: Plan, stage: Int[Array, ""], *laws: str) -> Bool[Array, ""]:
-    """Return whether one of these feedback laws guides a stage.
+    """Return whether one of the given feedback laws guides a stage of the plan.
 
     Args:
         plan: the plan.
@@ -216,7 +216,7 @@ def is_guided_by_law(plan: Plan, stage: Int[Array, ""], *laws: str) -> Bool[Arra
 def stage_start_pose(
     plan: Plan, stage: Int[Array, ""], free: FreeState
 ) -> tuple[Float[Array, "6 3"], Float[Array, " 3"]]:
-    """Return planned feet and base position at the start of a stage, in the stage's frames.
+    """Return the planned feet and base position (m) at the start of a stage, each in its own coordinate frame.
 
     Args:
         plan: the plan.
@@ -237,7 +237,7 @@ def stage_start_pose(
 
 
 def stage_end_stances(plan: Plan, free: FreeState) -> Stance:
-    """Return the planned stances at the ends of all S stages, world axes.
+    """Return the planned stances (feet and base pose, world axes) at the ends of all S stages.
 
     Args:
         plan: the plan.
@@ -255,7 +255,7 @@ def reference_stance(
     position: Float[Array, " 3"],
     goal: Float[Array, "6 3"] | None = None,
 ) -> Stance:
-    """Return the planned stance at a phase of a stage, in the stage's frames.
+    """Return the planned stance at a phase of a stage, with feet and base each in its own coordinate frame.
 
     The base goes along an elliptic arc about `pivot`, on a circle through equal angles for equal shares of the path; an
     arc of 0 is a straight line. Swinging feet go along a step cycle, or along a cubic Bezier curve through two control

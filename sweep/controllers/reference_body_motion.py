@@ -24,7 +24,7 @@ LOWEST = (-np.inf, -np.inf, 0.0)  # m/s, least velocity of a body on a floor
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class ReferenceBodyMotion(Layer):
-    """Tracker layer with the reference motion of k free bodies over S stages, from `Stage.support`.
+    """Tracker layer that gives the reference motion of k free bodies (balls, rafts) in each of S stages.
 
     The state is the bodies' state at the start of the stage. Made by `compile_plan`.
     """
@@ -34,7 +34,7 @@ class ReferenceBodyMotion(Layer):
     afloat: bool = field(metadata={"static": True})
 
     def init_state(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> FreeState:
-        """Return the initial layer state: the free bodies' states at the start."""
+        """Return the layer's state before the first tick: the states of the free bodies at the start."""
         return free
 
     def body_reference(
@@ -49,7 +49,7 @@ class ReferenceBodyMotion(Layer):
     def on_stage_enter(
         self, stage: Int[Array, ""], state: FreeState, last_free: FreeState, free: FreeState
     ) -> tuple[FreeState, FreeState]:
-        """Start the reference from the measured bodies, or from their last reference where they are `KEPT`."""
+        """Start the reference at the measured bodies, or where it ended in the last stage if this stage says `KEPT`."""
         kept = jnp.asarray(self.support.mode)[stage] == KEPT
         start = FreeState(*[jnp.where(kept[:, None], a, b) for a, b in zip(last_free, free, strict=True)])
         return start, start
@@ -58,7 +58,7 @@ class ReferenceBodyMotion(Layer):
 def reference_motion(
     support: SupportMotion, start: FreeState, measured: FreeState, clock: Array, duration: Array
 ) -> FreeState:
-    """Return the reference state of free bodies at time `clock` (s) of a stage; constant after the stage's duration.
+    """Return the reference state of free bodies at time `clock` (s) of a stage; they rest after its duration.
 
     Args:
         support: reference motion of each body, leading axis k.
@@ -108,7 +108,7 @@ def reference_motion(
 def floating_reference_motion(
     support: SupportMotion, start: FreeState, measured: FreeState, clock: Array, duration: Array
 ) -> FreeState:
-    """Return the reference state of floating bodies: planned motion in the plane, measured height and tilt.
+    """Return the reference state of floating bodies: horizontal motion and heading as planned, the rest as measured.
 
     For `ALONGSIDE` bodies, y and height of the pose to reach are those at the start of the stage.
 

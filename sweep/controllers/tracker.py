@@ -27,7 +27,7 @@ LEFT = np.array([0.0, 1.0, 0.0], np.float32)  # left of the base, base axes
 
 
 class PoseError(NamedTuple):
-    """Deviation of the base from its reference at the start of a stage, world axes; made by the tracker."""
+    """Deviation of the measured base pose from its reference when a stage starts, world axes."""
 
     position: Float[Array, " 3"]  # m
     turn: Float[Array, " 3"]  # rad, rotation vector
@@ -52,7 +52,7 @@ class TrackerState(NamedTuple):
 
 
 class Guidance(NamedTuple):
-    """Output of a guided manoeuvre's feedback in one tick, in the frames of the stage."""
+    """Output of a feedback law in one tick: the stance to command, the footholds, and the law's new state."""
 
     stance: Stance
     goal: Float[Array, "6 3"]  # m, footholds at the end of the stage
@@ -60,7 +60,7 @@ class Guidance(NamedTuple):
 
 
 class FeedbackLaw(Protocol):
-    """Feedback law that replans each tick from measurements, for a whole manoeuvre or for some of its stages."""
+    """Law that computes the commanded stance in each tick from measurements, for a manoeuvre or some of its stages."""
 
     ends_stages: ClassVar[bool]  # whether it may end a stage early; `duration` of a stage is then its longest time
 
@@ -69,7 +69,7 @@ class FeedbackLaw(Protocol):
         ...
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """Return the stance to command in this tick.
+        """Return the stance to command in this tick, the footholds, and the law's new state.
 
         Args:
             belief: believed parameters.
@@ -79,7 +79,7 @@ class FeedbackLaw(Protocol):
         ...
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
-        """Return whether the event that ends the current stage has occurred; called only if the law `ends_stages`."""
+        """Return whether the event that ends the current stage has occurred, for laws with `ends_stages`."""
         ...
 
 
@@ -275,7 +275,7 @@ def _advance(
 
 
 class StageStart(NamedTuple):
-    """Footholds and base error with which a stage starts, world axes; made by the rule that the plan selects."""
+    """Footholds and base pose error with which the tracker starts a stage, world axes."""
 
     feet: Float[Array, "6 3"]  # m, footholds
     error: PoseError  # of the base

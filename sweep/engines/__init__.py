@@ -7,7 +7,7 @@ from sweep.models.case import Case
 
 
 def make_engine(settings: EngineSettings, world: Case, belief: Case, limits: OutcomeThresholds | None = None) -> Engine:
-    """Make the engine that simulates a scenario.
+    """Make the engine that the settings name, which simulates batches of a scenario's rollouts.
 
     Args:
         settings: engine, time steps, precision and batch width.

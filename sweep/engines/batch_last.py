@@ -56,7 +56,7 @@ class BatchOperand(NamedTuple):
 
 
 class BatchContext(NamedTuple):
-    """Constants of one batched program: the size of the batch, and the cost from which values are kept in memory."""
+    """Settings of one batched program: the batch size, and the cost above which computed values are kept in memory."""
 
     size: int
     reuse_cost: int

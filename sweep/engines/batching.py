@@ -29,7 +29,7 @@ from sweep.models.legs import N_JOINTS
 
 
 def nominal_plan(belief: Case) -> Plan:
-    """Compute the plan for nominal parameters of a belief.
+    """Compute the motion plan for the nominal parameters that the controller believes.
 
     The last plan is cached in this process, since layout and engine ask for the same one; later processes load it
     together with the compiled programs.
@@ -71,7 +71,7 @@ def select_row(case: Case, slot: int) -> Case:
 
 
 def check_width(streams: np.ndarray, width: int) -> None:
-    """Raise `ValueError` if a batch does not have the engine's width."""
+    """Raise `ValueError` if a batch has another number of rollouts than the engine was made for."""
     if len(streams) != width:
         raise ValueError(f"a batch of {len(streams)} rollouts for an engine of width {width}")
 
@@ -79,7 +79,7 @@ def check_width(streams: np.ndarray, width: int) -> None:
 def record_tick(
     command: Command, state: TrackerState, tick: TickReport, q: Array, v: Array, tick_summary: Array
 ) -> dict[str, Array]:
-    """Return the quantities of one control tick that a trace records.
+    """Return the quantities of one control tick (state, targets, foot forces) that a trace records.
 
     Args:
         command: command of the controller.
@@ -107,7 +107,7 @@ def record_tick(
 
 
 class BatchEngine:
-    """Base class of the hexapod's engines; a rollout has the same numbers with and without recording."""
+    """Base class of engines that simulate batches of the built-in hexapod; recording does not change results."""
 
     width: int
 
@@ -133,12 +133,11 @@ class BatchEngine:
         raise NotImplementedError
 
     def rollout_outputs(self, world: Case, belief: Case, key: Array) -> Any:
-        """Return the values that the metrics of one rollout are computed from; this function is traced by JAX, not
-        run."""
+        """Compute what the metrics of one rollout depend on; JAX only traces this function for analysis."""
         raise NotImplementedError
 
     def find_unread_columns(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
-        """Find parameters that cannot change any metric, by analysing the traced program."""
+        """Find the parameters that cannot change any metric, by analysing the traced program of a rollout."""
         with devices.precision_context(self.settings):
             return find_unread_columns(self.rollout_outputs, sides, ends)
 
@@ -148,13 +147,13 @@ class BatchEngine:
         return self._simulate(world, belief, streams)[0]
 
     def trace(self, world: Case, belief: Case, streams: np.ndarray, slot: int) -> Trace:
-        """Simulate a batch and record a trace of the rollout at index `slot`."""
+        """Simulate a batch and record the states over time (trace) of the rollout at index `slot`."""
         return require_trace(self.traces(world, belief, streams, 1, np.array([slot]))[0])
 
     def traces(
         self, world: Case, belief: Case, streams: np.ndarray, every: int, slots: np.ndarray | None = None
     ) -> list[Trace | MissingTrace]:
-        """Simulate a batch and record traces of the rollouts at the indices `slots`, by default of all."""
+        """Simulate a batch and record states over time (traces) of the rollouts at indices `slots` (default: all)."""
         slots = np.arange(self.width) if slots is None else slots
         figures, parts = self._simulate(world, belief, streams, slots, every)
         records = jax.tree.map(lambda *each: np.concatenate(each), *parts)
@@ -163,7 +162,7 @@ class BatchEngine:
 
 
 def require_trace(trace: Trace | MissingTrace) -> Trace:
-    """Return `trace`; raise `InputError` if its model could not be drawn."""
+    """Return the trace of a rollout; raise `InputError` if MuJoCo could not compile its model."""
     if isinstance(trace, MissingTrace):
         raise InputError(trace.reason)
     return trace
@@ -179,7 +178,7 @@ def to_traces(
     tick: float,
     every: int,
 ) -> list[Trace | MissingTrace]:
-    """Make traces of rollouts from the recorded ticks of a batch; each trace ends when its rollout ends.
+    """Make traces (states over time for replay) of rollouts from the recorded ticks of a batch.
 
     Args:
         cases: world and belief of the batch.

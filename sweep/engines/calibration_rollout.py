@@ -38,7 +38,7 @@ POSE_METRICS = {  # metrics of the poses that a row keeps, by their column in it
 
 
 class CalibratingEngine:
-    """Engine for `control.calibrate=simulated`: one engine simulates the calibration poses, another the manoeuvre."""
+    """Engine for `control.calibrate=simulated`: simulates the robot's self-calibration before each manoeuvre."""
 
     def __init__(
         self,
@@ -65,7 +65,7 @@ class CalibratingEngine:
         return None if None in sizes else max(size for size in sizes if size is not None)
 
     def find_unread_columns(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
-        """Return no columns: calibration, estimation and manoeuvre are not one program that could be analysed."""
+        """Return an empty set: unused parameters cannot be found, as this engine is no single traced program."""
         return set()
 
     def run(self, world: Case, belief: Case, streams: np.ndarray) -> Metrics:

@@ -75,7 +75,7 @@ ZERO_DELAYS = {"delay": 0.0, "load_delay": 0.0, "body_delay": 0.0}
 
 
 def classify_sensing(noise: Noise) -> SensingMode:
-    """Classify which sensor errors have to be simulated: none, a delay, or random errors as well.
+    """Classify which sensor errors have to be simulated: none, only a delay, or random errors.
 
     Random numbers take a third of the compile time of a walk, so they are left out where all errors are zero. Fields of
     `noise` are numbers or arrays over a batch.
@@ -102,7 +102,7 @@ def count_ticks(plans: Plan, period: float) -> int:
 
 
 def start_state(world: Case, belief: Case, plan: Plan, free: FreeState | None = None) -> InitialState:
-    """Return the state of the simulated world at the start of the manoeuvre.
+    """Return MuJoCo's state of robot and free bodies at the start of the manoeuvre.
 
     The robot stands with the joint angles that it believes to be right, displaced by the placement error of
     `world.execution`. It is then lowered or raised along the ground's normal until its lowest foot touches. On free
@@ -156,7 +156,7 @@ def _beneath(obstacle: Obstacle, feet: Float[Array, "6 3"], up: Float[Array, " 3
 
 
 def apply_placement_error(execution: ExecutionFaults, start: Stance) -> Stance:
-    """Displace the start pose by the placement error of `execution` (m, and rad about the vertical)."""
+    """Displace the start pose by the scenario's placement error (m, and rad about the vertical)."""
     position = start.position + stack_point(execution.start_x, execution.start_y, 0.0)
     turn = rotation_about_vertical(jnp.asarray(execution.start_yaw, float))
     feet = position + rotate(turn[None], start.feet - start.position)
@@ -180,7 +180,7 @@ def free_body_state(qpos: Array, qvel: Array, count: int) -> FreeState:
 
 
 def exact_observation(qpos: Array, qvel: Array, count: int, load: Float[Array, " 6"]) -> Observation:
-    """Make the observation that sensors without error and delay would give.
+    """Make the observation that sensors without error and delay would give in a MuJoCo state.
 
     Args:
         qpos: positions (nq,) in MuJoCo's layout: base, legs, free bodies.
@@ -211,7 +211,7 @@ def init_loop(
     learned: LearnedState,
     sensing: SensingMode,
 ) -> ClosedLoop:
-    """Make the state of the closed loop before the first control tick.
+    """Return the state of controller, sensors and metrics before the first control tick.
 
     Args:
         world: simulated parameters.

@@ -18,7 +18,7 @@ FRAMES_PER_CHUNK = 256  # frames that are evaluated together
 
 
 class ContactForces(NamedTuple):
-    """Normal and tangential forces of the six feet over F frames."""
+    """Normal and tangential forces of the six feet over the F frames of a trace."""
 
     normal: np.ndarray  # (F, 6), in units of the robot's weight
     friction: np.ndarray  # (F, 6), tangential over normal force; nan below a load of `LOADED` N
@@ -26,10 +26,10 @@ class ContactForces(NamedTuple):
 
 
 class SurfaceContacts:
-    """Contacts of the feet with the obstacle in a trace's world: friction use and depth of points."""
+    """Contacts of the feet with the obstacle over a recorded rollout: friction use, and depth of points inside."""
 
     def friction_share(self, trace: Trace) -> np.ndarray:
-        """Return how much of its friction each foot uses, (F, 6): 1 where it slips, NaN where it carries nothing."""
+        """Return the share of its friction limit that each foot uses, (F, 6): 1 where it slips, NaN without load."""
         return measured_contact_forces(trace).elastic_share
 
     def depth(self, trace: Trace, points: np.ndarray, frames: np.ndarray) -> np.ndarray:
@@ -38,7 +38,7 @@ class SurfaceContacts:
 
 
 def measured_contact_forces(trace: Trace) -> ContactForces:
-    """Return the simulated contact forces of a trace."""
+    """Return the simulated normal and tangential forces of the feet over the frames of a trace."""
     return _contact_forces(trace, trace.foot_force)
 
 

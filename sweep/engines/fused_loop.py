@@ -27,7 +27,7 @@ from sweep.models.case import Case
 
 
 class FusedBatch(NamedTuple):
-    """A batch of rollouts in the memory of a fused CPU kernel."""
+    """A batch of rollouts in the memory of a fused CPU kernel: controller, physics and metrics in one program."""
 
     tiles: Tiles
 
@@ -38,7 +38,7 @@ class FusedBatch(NamedTuple):
 
 
 class FusedPrograms(NamedTuple):
-    """Programs of a batch: planning, the kernel of the closed loop, and the metrics at the end."""
+    """Programs of a batch: planning, the CPU kernel of controller and physics, and the metrics at the end."""
 
     planning: CompiledPlanning
     kernel: Kernel
@@ -56,7 +56,7 @@ class FusedPrograms(NamedTuple):
     def simulate_chunk(
         self, world: Case, belief: Case, plans: Plan, carry: FusedBatch, tick: int, slots: np.ndarray | None
     ) -> tuple[FusedBatch, Any]:
-        """Simulate one chunk of consecutive control ticks.
+        """Simulate a batch for one chunk of consecutive control ticks, and record the requested rollouts.
 
         Args:
             world: parameters of the simulated side.
@@ -104,8 +104,7 @@ def single_rollout_shapes(arrays: tuple[Case, Case, Array], batch: Any) -> tuple
 def trace_or_compile(
     by_xla: Callable[[], Compiled], function: Callable[..., Any], *shapes: Any
 ) -> NumpyProgram | Compiled:
-    """Make a program that runs only a few times per batch: executed by NumPy if it has rules for all operations, else
-    compiled by XLA.
+    """Make a program that runs a few times per batch: run by NumPy where it has all operations, else compiled by XLA.
 
     Args:
         by_xla: compiles the function over the batch with XLA.
@@ -119,13 +118,12 @@ def trace_or_compile(
 
 
 def bind_batch_width(program: NumpyProgram | Compiled, width: int) -> Callable[..., Any]:
-    """Turn a program of a rollout (`NumpyProgram`) or a batch (`Compiled`) into a function over batches of `width`."""
+    """Turn a program (`NumpyProgram` or `Compiled`) into a function over batches of `width` rollouts."""
     return functools.partial(*(program, width) if isinstance(program, NumpyProgram) else (devices.run_program, program))
 
 
 def catch_missing_rule(compile_programs: Callable[..., tuple]) -> Callable[..., tuple]:
-    """Wrap a function that compiles programs so that it returns the name of a rule that the fused compiler lacks, if
-    any.
+    """Wrap a function that compiles programs: for an unsupported operation it returns the name instead of raising.
 
     So the cache can store that the programs cannot be fused.
     """

@@ -51,7 +51,7 @@ from sweep.models.case import Case
 
 
 class RolloutCarry(NamedTuple):
-    """State of one rollout between two control ticks, physics and closed loop."""
+    """State of one rollout (physics, controller, sensors, metrics) between two control ticks."""
 
     state: PhysicsState
     loop: ClosedLoop
@@ -71,7 +71,7 @@ class XlaPrograms(NamedTuple):
 
 
 class MjxEngine(BatchEngine):
-    """Engine with an implicit contact step on smooth dynamics from explicit equations (`arrowhead`) or from MJX."""
+    """Hexapod engine in JAX: implicit contact steps, dynamics from explicit equations (`arrowhead`) or from MJX."""
 
     def __init__(self, settings: EngineSettings, world: Case, belief: Case, limits: OutcomeThresholds | None = None):
         super().__init__(settings, world, belief, limits)
@@ -85,7 +85,7 @@ class MjxEngine(BatchEngine):
             self.physics = physics.make_tick_physics(settings, self.topology)
 
     def rollout_bytes(self) -> int:
-        """Return the memory of one rollout's plan, state and metrics in bytes, without compiling anything."""
+        """Return the memory (bytes) of one rollout's plan, state and metrics, without compiling anything."""
         with devices.precision_context(self.settings):
             start = partial(self._start, classify_sensing(self._nominal[0].noise))
             held = jax.eval_shape(start, *devices.to_jax_arrays(self._nominal), jax.random.key(0))
@@ -95,7 +95,7 @@ class MjxEngine(BatchEngine):
     def run_with_time_series(
         self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
     ) -> tuple[Metrics, np.ndarray]:
-        """Simulate a batch and record columns of some rollouts over time."""
+        """Simulate a batch; return its metrics, and the requested columns of some rollouts over time."""
         figures, parts = self._simulate(world, belief, streams, slots, watch.every, watch)
         return figures, np.concatenate([np.zeros((0, len(slots), len(watch.columns)), np.float32), *parts])
 
@@ -375,7 +375,7 @@ class MjxEngine(BatchEngine):
         return chunk, None
 
     def rollout_outputs(self, world: Case, belief: Case, key: Array) -> dict[str, Array]:
-        """Return the metrics of one rollout as a function that JAX traces for analysis."""
+        """Compute the metrics of one rollout; JAX only traces this function for analysis."""
         plan, carry = self._start(classify_sensing(world.noise), world, belief, key)
 
         def tick(carry: RolloutCarry, number: Array) -> tuple[RolloutCarry, None]:

@@ -66,7 +66,7 @@ RECORDED_FIELDS = ("qpos", "qvel", "actuator_force", "sensordata", "energy", "xp
 
 
 class StepRecord(NamedTuple):
-    """Record of a control tick's n physics steps in C MuJoCo; points are those before the last step."""
+    """Record of the n physics steps in a control tick of C MuJoCo; positions are those before the last step."""
 
     qpos: Float[Array, "n q"]
     qvel: Float[Array, "n v"]
@@ -88,7 +88,7 @@ class PhysicsInputs(NamedTuple):
 
 
 class LoopState(NamedTuple):
-    """State of one rollout passed between controller and physics."""
+    """State of one rollout that is passed between the compiled controller and C MuJoCo."""
 
     loop: ClosedLoop
     command: Command
@@ -106,7 +106,7 @@ class NativePrograms(NamedTuple):
     replan: Callable[..., LearnedState] | None  # see `replan_rest`
 
     def load_batch(self, inputs: Any, carried: LoopState, width: int) -> "Tiles | XlaBatch":
-        """Write a batch to the memory of the tick's kernel, or wrap it for a tick compiled by XLA.
+        """Prepare a batch for its ticks: write it to the memory of the compiled kernel, or wrap it for a tick of XLA.
 
         Args:
             inputs: world, belief and plans of the batch.
@@ -119,13 +119,13 @@ class NativePrograms(NamedTuple):
 
 
 class XlaBatch:
-    """A batch whose control ticks are compiled by XLA, with the methods of `kernel.Tiles`."""
+    """A batch of rollouts whose control ticks are compiled by XLA; has the methods of the compiled kernel's batches."""
 
     def __init__(self, tick: Callable[[LoopState, int], LoopState], carried: LoopState):
         self._tick, self._carried = tick, carried
 
     def replace(self, select: Callable[[Any], Any], tree: Any) -> None:
-        """Replace the values that `select` picks from the carried state by those of `tree`."""
+        """Replace the values that the function `select` picks from the rollouts' state by those of `tree`."""
         leaves, form = jax.tree.flatten(self._carried)
         places = jax.tree.leaves(select(jax.tree.unflatten(form, range(len(leaves)))))
         for place, x in zip(places, jax.tree.leaves(tree), strict=True):
@@ -133,16 +133,16 @@ class XlaBatch:
         self._carried = jax.tree.unflatten(form, leaves)
 
     def advance(self, first: int, ticks: int) -> None:
-        """Run `ticks` control ticks from number `first` on."""
+        """Advance the batch by `ticks` control ticks, the first of which has the number `first`."""
         for k in range(first, first + ticks):
             self._carried = self._tick(self._carried, k)
 
     def read_all(self) -> LoopState:
-        """Return the carried values of all rollouts."""
+        """Return the state that all rollouts carry from tick to tick."""
         return self._carried
 
     def read(self, select: Callable[[Any], Any]) -> Any:
-        """Return the values that `select` picks from the carry, as NumPy arrays."""
+        """Return the values that the function `select` picks from the rollouts' state, as NumPy arrays."""
         return jax.tree.map(np.asarray, select(self._carried))
 
 
@@ -158,14 +158,14 @@ class NativeEngine(BatchEngine):
         self.fused = settings.compiler != "xla"
 
     def rollout_bytes(self) -> None:
-        """Return None: C code allocates plan, state and metrics."""
+        """Return None: the memory of a rollout is unknown, since C code allocates it."""
         return None
 
     @devices.convert_memory_errors()
     def run_with_time_series(
         self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
     ) -> tuple[Metrics, np.ndarray]:
-        """Simulate a batch and record columns of some rollouts over time."""
+        """Simulate a batch; return its metrics, and the requested columns of some rollouts over time."""
         figures, parts = self._simulate(world, belief, streams, slots, watch.every)
         return figures, np.concatenate([select_columns(self._nominal[0], part, watch.columns) for part in parts])
 
@@ -265,7 +265,7 @@ class NativeEngine(BatchEngine):
         return self._programs[form]
 
     def rollout_outputs(self, world: Case, belief: Case, key: Array) -> Any:
-        """Return metrics and C MuJoCo inputs of one rollout for analysis; results of C MuJoCo count as constants."""
+        """Compute metrics and C MuJoCo inputs of one rollout for analysis by JAX, with C MuJoCo's results constant."""
         plan, (between, state) = self._start(classify_sensing(world.noise), world, belief, key)
         between = between._replace(steps=jax.tree.map(jnp.zeros_like, between.steps))
 
@@ -281,7 +281,7 @@ class NativeEngine(BatchEngine):
         return state, inputs, compute_metrics(world, plan, between.loop)
 
     def find_unread_columns(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
-        """Find parameters that change neither a metric nor the MuJoCo model."""
+        """Find the parameters that change neither a metric nor the MuJoCo model."""
         unread = super().find_unread_columns(sides, ends)
         models = {c: [model_bytes(self._model(sides({c: end})[0])) for end in ends[c]] for c in sorted(unread)}
         return {c for c, (low, high) in models.items() if low == high}

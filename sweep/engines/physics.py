@@ -37,7 +37,7 @@ def dynamics_name(settings: EngineSettings) -> str:
 
 
 def make_tick_physics(settings: EngineSettings, top: ModelTopology) -> "TickPhysics":
-    """Make the physics of a scenario.
+    """Make the object that simulates the physics of a scenario for a control tick.
 
     Args:
         settings: smooth dynamics, time step and solver iterations.
@@ -52,7 +52,7 @@ def make_tick_physics(settings: EngineSettings, top: ModelTopology) -> "TickPhys
 
 
 def execution_limits(world: Case, step: Array, h: float) -> DriveLimits:
-    """Return drive limits and push force during one physics step.
+    """Return the limits of the drives and the push force (N) during one physics step.
 
     Args:
         world: the simulated case.
@@ -69,7 +69,7 @@ def execution_limits(world: Case, step: Array, h: float) -> DriveLimits:
 
 
 def push_force(execution: ExecutionFaults, step: Array, h: float) -> Float[Array, " 3"]:
-    """Return the mean force of the push on the base during one physics step.
+    """Return the mean force (N) of the scenario's push on the base during one physics step.
 
     A step that overlaps the push in part gets that part of its force, so that the impulse is exact for any duration. A
     push shorter than a step has its impulse in one step, or in two.
@@ -100,7 +100,7 @@ def _remove_rounding(steps: Array | float) -> Array:
 
 
 class TickTotals(NamedTuple):
-    """Totals over the physics steps of a control tick: peaks of torque and residual, sums of everything else."""
+    """Totals over the physics steps of a control tick: peak torques and solver residual, sums of forces and powers."""
 
     torque_peak: JointTriple
     saturated: JointTriple
@@ -112,7 +112,7 @@ class TickTotals(NamedTuple):
     external_power: Array
 
     def add_step(self, report: StepReport) -> "TickTotals":
-        """Add the report of one more physics step."""
+        """Return the totals with the report of one more physics step added."""
         return TickTotals(
             map_joints(lambda peak, u: jnp.maximum(peak, jnp.abs(u)), self.torque_peak, report.torque),
             map_joints(add, self.saturated, report.saturated),
@@ -126,20 +126,20 @@ class TickTotals(NamedTuple):
 
 
 class TickPhysics(NamedTuple):
-    """Simulates the world from one control tick to the next."""
+    """Simulates robot and free bodies from one control tick to the next."""
 
     settings: EngineSettings
     substeps: int
     smooth_dynamics: Callable[[Case], SmoothDynamics]
 
     def energy(self, world: Case, state: PhysicsState) -> Array:
-        """Return kinetic and potential energy (J) of a state."""
+        """Return kinetic and potential energy (J) of robot and free bodies in a state."""
         return dynamics.mechanical_energy(self.smooth_dynamics(world), world, split_into_components(state))[0]
 
     def advance(
         self, world: Case, state: PhysicsState, servo_before: ServoCommand, servo_after: ServoCommand, tick: Array
     ) -> tuple[PhysicsState, TickReport]:
-        """Simulate one control tick.
+        """Simulate the physics steps of one control tick.
 
         Args:
             world: simulated parameters.

@@ -34,14 +34,14 @@ POSES_PER_SLICE = 1 << 16  # poses that are in memory at a time
 
 
 class CompiledPlanning(NamedTuple):
-    """Compiled planning of a batch: its start program, and the kernels that search for planned forces."""
+    """Compiled planning of a batch: the program that makes plans, and the kernels that search for foot forces."""
 
     program: NumpyProgram | Compiled
     searches: dict[str, Kernel]
 
     @classmethod
     def from_programs(cls, program: NumpyProgram | Compiled, searches: dict[str, KernelCode]) -> "CompiledPlanning":
-        """Make the compiled planning from programs in the cache."""
+        """Make the compiled planning of a batch from programs that the cache holds."""
         return cls(program, {name: Kernel(code) for name, code in searches.items()})
 
     def __call__(self, world: Any, belief: Any, keys: Array) -> Any:
@@ -60,7 +60,7 @@ def start_compilation(
     has_forces: bool,
     use_numpy: bool,
 ) -> tuple[Any, Callable[[], StoredPlanning]]:
-    """Start compiling the planning of batches in a thread pool.
+    """Start to compile the planning program of a batch in a thread pool.
 
     Args:
         pool: threads in which XLA compiles.
@@ -83,7 +83,7 @@ def start_compilation(
 
 
 def evaluate_plan(function: Callable[[], Any]) -> Any:
-    """Evaluate a function of plain numbers that may search for planned forces."""
+    """Evaluate a planning function on plain numbers, with compiled kernels for its searches for foot forces."""
 
     def search_by_name(name: str, *problems: Shaped[np.ndarray, "n ... 1"]) -> Float[np.ndarray, "n 6 3 1"]:
         forms = tuple(jax.ShapeDtypeStruct(x.shape[:-1], x.dtype) for x in problems)
@@ -98,7 +98,7 @@ def key_and_case_shapes(arrays: Any) -> Any:
 
 
 def batch_shapes(form: Any, width: int) -> Any:
-    """Return the array shapes of a batch of `width` rollouts, from the shapes of one rollout."""
+    """Return the array shapes of a batch of `width` rollouts, given those of one rollout."""
     return jax.tree.map(lambda x: jax.ShapeDtypeStruct((width, *x.shape), x.dtype), form)
 
 

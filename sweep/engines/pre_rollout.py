@@ -31,7 +31,7 @@ CALIBRATION_ERRORS_KEY, BODY_POSITIONS_KEY = (
 
 
 def prepare_belief(world: Case, belief: Case, key: Array) -> tuple[Case, Plan, LearnedState]:
-    """Run calibration and touch as the settings ask, and plan from the resulting belief.
+    """Let the robot estimate sizes by calibration and touch, as configured, and plan from the improved belief.
 
     Args:
         world: simulated parameters.
@@ -67,7 +67,7 @@ def prepare_belief(world: Case, belief: Case, key: Array) -> tuple[Case, Plan, L
 
 
 def check_control_settings(world: Case, belief: Case, plan: Plan) -> None:
-    """Raise `InputError` if `control` asks for estimates that this robot cannot make on this obstacle.
+    """Raise `InputError` if the key `control` asks for estimates that this robot cannot make on this obstacle.
 
     To calibrate, all feet have to start on one plane. Only resting obstacles can be touched and planned for again; of
     moving ones only the positions of balls can be learned.
@@ -140,7 +140,7 @@ def measure_body_positions(world: Case, key: Array) -> Float[Array, "k 3"]:
 
 
 def measure_poses(world: Case, start: InitialState, key: Array) -> PoseMeasurements:
-    """Measure the calibration poses with the sensor errors of this rollout.
+    """Return what the sensors measure in the calibration poses, with the sensor errors of this rollout.
 
     The feet are put on the ground where the robot starts, and slip a little from pose to pose. A foot that a pose puts
     out of reach does not stand.

@@ -16,7 +16,7 @@ ColumnGetter = Callable[[TickRecord], Any]
 
 
 def available_columns(world: Case) -> dict[str, ColumnGetter]:
-    """Return the names of the columns that can be recorded over time for a world.
+    """Return the names of the columns that can be recorded over time with this robot and obstacle.
 
     `qpos_k` and `qvel_k` are MuJoCo's; forces are on the robot, in world axes.
 
@@ -40,7 +40,7 @@ def available_columns(world: Case) -> dict[str, ColumnGetter]:
 
 
 def select_columns(world: Case, record: TickRecord, names: Sequence[str]) -> Any:
-    """Select columns by name from recorded states.
+    """Select time-series columns by name from the recorded states of some rollouts.
 
     Args:
         world: simulated parameters; they determine which columns there are.

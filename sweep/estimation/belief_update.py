@@ -21,7 +21,7 @@ from sweep.models.posture import joint_targets
 
 
 class LearnedState(NamedTuple):
-    """Estimates that a robot has made so far in a rollout; None for quantities that it does not estimate."""
+    """Estimates that a robot has made so far in a rollout (body sizes, obstacle sizes), and the newest plan."""
 
     calibration: CalibrationResult | None = None
     touch: TouchState | None = None
@@ -31,7 +31,7 @@ class LearnedState(NamedTuple):
 
 
 def updated_belief(belief: Case, learned: LearnedState) -> Case:
-    """Return the belief with its sizes replaced by learned estimates, for planning and control.
+    """Return the belief with the estimated sizes of robot and obstacle in place of the assumed ones.
 
     Args:
         belief: belief at the start.
@@ -43,7 +43,7 @@ def updated_belief(belief: Case, learned: LearnedState) -> Case:
 
 
 def initial_obstacle(belief: Case, learned: LearnedState) -> Obstacle:
-    """Return the obstacle that the first plan was made for; plans are given in the axes of its free bodies.
+    """Return the obstacle, as first believed, for which the first plan was made.
 
     Args:
         belief: belief at the start.
@@ -61,7 +61,7 @@ def update_from_touch(
     obs: Observation,
     period: float,
 ) -> tuple[TrackerState, Plan, Float[Array, "6 3"] | None, LearnedState]:
-    """Update the learned obstacle sizes from touch in one control tick, if this robot learns by touch.
+    """Update the estimated obstacle sizes from foot contacts in one tick, if the robot learns by touch.
 
     Args:
         world: simulated parameters, which have the settings of learning (`control`).
@@ -93,7 +93,7 @@ def update_from_touch(
 
 
 def replan_rest(belief: Case, plan: Plan, stage: Int[Array, ""], learned: LearnedState) -> LearnedState:
-    """Replan the stages after `stage` for the learned sizes; keep the old plan if no plan exists for them.
+    """Replan the stages after `stage` for the estimated sizes; keep the old plan if none exists for them.
 
     Planned forces stay as they are: they are expensive, and change by only about as much as the sizes.
 

@@ -29,7 +29,7 @@ LIFTED = 1.0  # m, deviation of a foot in the air, which thus has no weight
 
 
 class PoseMeasurements(NamedTuple):
-    """Mean sensor measurements in each of K base poses, world axes; made by the engines."""
+    """Mean sensor measurements in each of K base poses of the robot's calibration, world axes."""
 
     position: Float[Array, "k 3"]  # m, of the base
     quat: Float[Array, "k 4"]  # base to world
@@ -38,7 +38,7 @@ class PoseMeasurements(NamedTuple):
 
 
 class Ground(NamedTuple):
-    """Believed plane on which all feet stand, world axes; made by the engines."""
+    """Plane on which all feet stand during the calibration, as believed, world axes."""
 
     point: Float[Array, " 3"]  # m
     normal: Float[Array, " 3"]
@@ -47,20 +47,20 @@ class Ground(NamedTuple):
 
 
 class CalibrationResult(NamedTuple):
-    """Result of the calibration, made by `estimate_sizes`."""
+    """Estimated sizes of the robot with their uncertainty, the result of a calibration."""
 
     robot: Robot  # robot with the estimated sizes
     covariance: Float[Array, "n n"]  # relative, of the sizes in `learnable_sizes`
 
 
 def learnable_sizes(robot: Robot) -> tuple[str, ...]:
-    """Return the names of the robot's sizes that joint angles and places of feet depend on."""
+    """Return the names of the robot sizes that calibration can estimate: those that relate joint angles to feet."""
     body = ("mount_radius",) if robot.mounts == "circle" else ("body_length", "body_width")
     return *body, *(("coxa",) if robot.legs == "three_link" else ()), "thigh", "shin"
 
 
 def base_poses(control: Control, start: Stance) -> tuple[Float[Array, "k 3"], Float[Array, "k 4"]]:
-    """Return the base poses of the calibration, world axes.
+    """Return the base poses (world axes) in which the robot measures itself during calibration.
 
     Args:
         control: has the shift (m) and the turn (rad) along and about each axis.
@@ -77,7 +77,7 @@ def base_poses(control: Control, start: Stance) -> tuple[Float[Array, "k 3"], Fl
 def estimate_sizes(
     control: Control, noise: Noise, robot: Robot, ground: Ground, measurements: PoseMeasurements
 ) -> CalibrationResult:
-    """Estimate the robot's sizes from measurements in the calibration poses.
+    """Estimate the robot's sizes from sensor measurements in the calibration poses.
 
     Joint and base biases and the places of the feet are estimated along with the sizes.
 

@@ -18,14 +18,14 @@ MOVE, HOLD = 1.0, 0.6  # s, from one pose to the next, and at rest in each; soft
 
 @parameters
 class CalibrationPoses(Manoeuvre):
-    """Manoeuvre that goes through the base poses of the calibration and back to the start; made by the engines."""
+    """Manoeuvre that moves the base through the calibration poses, with all feet standing, and back to the start."""
 
     goal: ClassVar = ON_ITS_FEET
     next_manoeuvre: Manoeuvre  # manoeuvre that follows, in whose start stance the robot stands
     kind: str = choice("poses", "poses")
 
     def plan(self, belief: Case) -> Plan:
-        """Return the plan through all poses, with all feet standing."""
+        """Return the plan that moves the base through all calibration poses, with all feet standing."""
         start = self.next_manoeuvre.plan(replace(belief, manoeuvre=self.next_manoeuvre)).start
         position, quat = calibration.base_poses(belief.control, start)
         turn = logarithm(multiply(jnp.roll(quat, -1, axis=0), conjugate(quat)))
@@ -40,6 +40,6 @@ class CalibrationPoses(Manoeuvre):
 
 
 def held_pose_index(time: float) -> int:
-    """Return the index of the pose that is held at `time` (s), in the second half of its rest; else -1."""
+    """Return the index of the calibration pose held still at `time` (s), in the second half of its rest; else -1."""
     pose, since = divmod(time, MOVE + HOLD)
     return int(pose) if HOLD / 2 < since <= HOLD else -1

@@ -44,7 +44,7 @@ CLEARANCE = 0.005
 
 
 class TouchState(NamedTuple):
-    """State of learning from touch, made by `init_touch`."""
+    """State of estimating obstacle sizes from touch: the obstacle as believed, covariance, and corrections of feet."""
 
     obstacle: Obstacle  # obstacle as believed now
     first_obstacle: Obstacle  # obstacle for which the first plan was made
@@ -56,7 +56,7 @@ class TouchState(NamedTuple):
 
 
 def learnable_sizes(obstacle: Obstacle | type[Obstacle]) -> tuple[str, ...]:
-    """Return the names of the obstacle's sizes that touch can determine.
+    """Return the names of the obstacle's sizes that foot contacts can determine.
 
     If its free bodies move, these are the sizes that show when they lie on the floor, or when feet stand on them.
     """
@@ -67,12 +67,12 @@ def learnable_sizes(obstacle: Obstacle | type[Obstacle]) -> tuple[str, ...]:
 
 
 def is_learned_by_feet(obstacle: Obstacle) -> bool:
-    """Return whether the obstacle's sizes are learned from foot contacts, rather than from where free bodies lie."""
+    """Return whether the obstacle's sizes are estimated from foot contacts; else from where free bodies lie."""
     return not obstacle.free_bodies or bool(obstacle.stood_on)
 
 
 def init_touch(control: Control, obstacle: Obstacle) -> TouchState:
-    """Return the state before anything is touched: sizes as believed, all feet standing.
+    """Return the state of estimation from touch before any contact: sizes as believed, all feet standing.
 
     Args:
         control: has the prior deviation of sizes.
@@ -95,7 +95,7 @@ def update_from_stance(
     quat: Float[Array, "4"],
     angles: Float[Array, "6 3"],
 ) -> TouchState:
-    """Update the sizes from a measurement of all feet standing at the start.
+    """Update the obstacle's estimated sizes from a measurement of all feet standing at the start.
 
     Args:
         control: settings of learning.
@@ -118,7 +118,7 @@ def update_from_stance(
 def update_from_resting_bodies(
     control: Control, noise: Noise, touch_state: TouchState, places: Float[Array, "k 3"]
 ) -> TouchState:
-    """Update the sizes from where the obstacle's free bodies lie on the floor.
+    """Update the obstacle's estimated sizes from where its free bodies lie on the floor.
 
     Args:
         control: settings of learning.
@@ -149,8 +149,7 @@ def planning_obstacle(touched: TouchState) -> Obstacle:
 
 
 def planned_surface(touch_state: TouchState, plan: Plan, stage: Int[Array, ""]) -> Surface:
-    """Return the obstacle surface at a stage's footholds for which the first plan was made, free bodies at their start
-    poses.
+    """Return the believed obstacle surface under a stage's footholds, for which the first plan was made.
 
     Args:
         touch_state: state of learning.
@@ -171,7 +170,7 @@ def touch_tick(
     obs: Observation,
     period: float,
 ) -> tuple[TouchState, Float[Array, "6 3"], Bool[Array, " 6"]]:
-    """Run one control tick of learning from touch: update the sizes, and move feet to the real surface.
+    """Run one tick of estimation from touch: update the obstacle's sizes, and move feet to the real surface.
 
     If sizes are uncertain:
 

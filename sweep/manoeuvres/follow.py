@@ -27,7 +27,7 @@ START = "start"  # part that places the robot
 
 @parameters
 class Follow(PlannedForces):
-    """Start where the part `start` of the plan file places the robot, then make the moves of its other parts.
+    """Follow a plan file: start where its part `start` places the robot, then make the moves of its other parts.
 
     For any obstacle with charts; lengths are in `length_unit`s. Free bodies may be planned to rest (`rests`), to stay
     in place (`stays`) or to roll together (`together`).
@@ -66,7 +66,7 @@ class Follow(PlannedForces):
         return self.with_feedforward(belief, plan) if self.forces == "planned" else plan
 
     def plan_without_forces(self, belief: Case) -> Plan:
-        """Return the plan before planned foot forces are added."""
+        """Return the plan of the plan file's moves without planned foot forces, which `plan` adds."""
         context, stages = self.move_context(belief), []
         feet, position, standing = initial_stance(START, context)
         for part in plan_content(belief):
@@ -86,7 +86,7 @@ class Follow(PlannedForces):
         return apply_direction(belief, plan)
 
     def move_context(self, belief: Case) -> MoveContext:
-        """Return the charts and directions to which moves in the plan file refer."""
+        """Return the coordinate systems and directions for moves in the plan file."""
         unit, obstacle = length_unit(belief.robot), belief.obstacle
         supports = {"free": SupportMotion(), "rests": RESTS, "stays": STAYS, "together": SupportMotion(TOGETHER)}
         bodies = len(obstacle.free_bodies)

@@ -51,5 +51,5 @@ CAUSES: tuple[Cause, ...] = tuple(cause for metric in METRICS for cause in metri
 
 
 def applicable_metrics(case: Case) -> tuple[Metric, ...]:
-    """Select the metrics that apply to a kind of world; numbers of the world do not matter."""
+    """Select the metrics that apply to this kind of obstacle and manoeuvre, whatever their numeric values."""
     return select_metrics(METRICS, AVAILABLE_PARTS, case)

@@ -18,8 +18,7 @@ OVERTURNED_TILT_DEG = 60.0  # deg of tilt: nothing after it tells anything of th
 
 
 class RunningMetrics(NamedTuple):
-    """States of all metrics of a rollout, and the times at which causes were first met; engines carry it from tick to
-    tick."""
+    """States of all metrics of a rollout, and when each cause of failure first occurred; carried from tick to tick."""
 
     time: Float[Array, ""]  # s
     time_since_plan_end: Float[Array, ""]  # s, since the plan has ended
@@ -30,21 +29,21 @@ class RunningMetrics(NamedTuple):
 
 
 def causes_judged_each_tick(world: Case) -> tuple[Cause, ...]:
-    """Return the causes that can be judged in every tick, so that the time of their first occurrence is recorded."""
+    """Return the causes of failure that are checked in every tick, so that their first occurrence gets a time."""
     return tuple(
         cause for metric in metrics.applicable_metrics(world) for cause in metric.causes if cause.known_at == "tick"
     )
 
 
 def metrics_computed_each_tick(world: Case) -> tuple[str, ...]:
-    """Return the names of the metrics that are computed in every tick because a cause is judged by them."""
+    """Return the names of the metrics that are computed in every tick, since causes of failure are checked by them."""
     causes = causes_judged_each_tick(world)
     there = {name for metric in metrics.applicable_metrics(world) for name in metric.columns}
     return (*(c.metric for c in causes), *(c.companion_metric for c in causes if c.companion_metric in there))
 
 
 def begin(start: RolloutStart) -> RunningMetrics:
-    """Return the initial states of all metrics that apply to the world."""
+    """Return the states of all metrics that apply to a rollout, before its first tick."""
     dtype, n = start.plan.duration.dtype, len(causes_judged_each_tick(start.world))
     return RunningMetrics(
         time=jnp.zeros((), dtype),
@@ -57,7 +56,7 @@ def begin(start: RolloutStart) -> RunningMetrics:
 
 
 def with_start_energy(world: Case, running: RunningMetrics, energy: Array) -> RunningMetrics:
-    """Return the metric states with the mechanical energy at the start, from which growth of energy is measured.
+    """Return the metric states with the mechanical energy (J) at the start, the reference for growth of energy.
 
     Args:
         world: The world.
@@ -73,7 +72,7 @@ def with_start_energy(world: Case, running: RunningMetrics, energy: Array) -> Ru
 def update(
     running: RunningMetrics, ctx: MetricTick, limits: OutcomeThresholds, number: Array
 ) -> tuple[RunningMetrics, Float[Array, " w"]]:
-    """Update all metrics after a control tick.
+    """Update the states of all metrics of a rollout after a control tick.
 
     Args:
         running: The rollout's metrics before the tick.
@@ -112,7 +111,7 @@ def _update_metric(metric: Metric, state: Any, ctx: MetricTick, number: Array) -
 
 
 def compute(world: Case, plan: Plan, running: RunningMetrics, stage: Int[Array, ""]) -> dict[str, Array]:
-    """Compute the metrics of a row at the end of its rollout.
+    """Compute all metrics of a rollout at its end, by column of its row in the results.
 
     Args:
         world: The world.

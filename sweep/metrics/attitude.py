@@ -23,13 +23,13 @@ class AttitudeErrors(NamedTuple):
 
 
 def begin(start: RolloutStart) -> AttitudeErrors:
-    """Return the state before the first tick: no attitude error yet."""
+    """Return the state of the attitude metrics before the first tick: no error yet."""
     tilt = attitude.METRIC.begin(start)
     return AttitudeErrors(tilt.largest_tilt, start.constant_state(0.0), tilt.quat)
 
 
 def update(state: AttitudeErrors, ctx: MetricTick) -> AttitudeErrors:
-    """Update the largest tilt from the commanded vertical (deg), and the largest rotation about it (deg)."""
+    """Update the base's largest tilt from the commanded vertical, and its largest rotation about it (deg)."""
     w, _, _, z = ctx.attitude_error
     heading = jnp.degrees(jnp.abs(2 * jnp.arctan2(z * jnp.sign(w), jnp.abs(w))))
     tilt = attitude.METRIC.update(Tilt(state.tilt, state.quat), ctx)

@@ -18,13 +18,13 @@ SIZE_COLUMNS = {
 
 
 def begin(start: RolloutStart) -> CalibrationResult:
-    """Return the state: the calibrated sizes, which stay constant during the rollout."""
+    """Return the metric's state: the robot sizes that calibration estimated, constant during the rollout."""
     assert start.learned.calibration is not None  # since it applies
     return start.learned.calibration
 
 
 def learned_sizes(state: CalibrationResult) -> dict[str, Array]:
-    """Return the estimated sizes of the robot and their standard deviations (m), by column."""
+    """Return the robot sizes that calibration estimated, and their standard deviations (m), by column."""
     sizes = learnable_sizes(state.robot)
     own = {f"learned_{name}_m": jnp.asarray(getattr(state.robot, name)) for name in sizes}
     deviations = {name: jnp.sqrt(state.covariance[k, k]) for k, name in enumerate(sizes)}

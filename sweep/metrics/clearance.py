@@ -14,7 +14,7 @@ from sweep.models.solids import distance_to_box
 
 
 def distances(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
-    """Return the distances (m) in this tick: base and links to the obstacle, legs to each other and to the base.
+    """Return the least distances (m) in this tick: base and links to the obstacle, legs to each other and to the base.
 
     Links are `link_capsules`. Towards base and thigh they begin with a round end beyond the joint.
     """

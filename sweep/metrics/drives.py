@@ -13,8 +13,7 @@ from sweep.models.legs import JOINT_KINDS
 
 
 class DriveLoads(NamedTuple):
-    """State of the drive metrics: largest torques (N m) and saturation times (s) by kind of joint, and positive work
-    (J).
+    """State of the drive metrics: peak torques (N m), times at the torque limit (s) by joint, positive work (J).
 
     The largest turn of a leg (rad), rate (rad/s) and power (W) of a joint. By kind of joint the torque over its limit
     that legs take in the mean, lately; and the least that it was away from 1.
@@ -31,14 +30,14 @@ class DriveLoads(NamedTuple):
 
 
 def begin(start: RolloutStart) -> DriveLoads:
-    """Return the state before the first tick: no load, no work."""
+    """Return the state of the drive metrics before the first tick: no torque, no work."""
     torque, effort, speed = (part.METRIC.begin(start) for part in (joint_torque, work, joint_speed))
     zero, kinds = start.constant_state(0.0), start.constant_state(np.zeros(3))
     return DriveLoads(torque, kinds, effort, zero, speed, zero, kinds, start.constant_state(1.0))
 
 
 def update(state: DriveLoads, ctx: MetricTick) -> DriveLoads:
-    """Update peak torques over all legs, saturation times averaged over legs, and the positive work."""
+    """Update peak joint torques, time at the torque limit averaged over legs, and positive work of the drives."""
     tick, world = ctx.report, ctx.world
     limit = world.execution.torque_scale * world.drive.torque_limit
     use = jnp.mean(tick.torque_peak, axis=0) / jnp.maximum(limit, 1e-9)
@@ -56,7 +55,7 @@ def update(state: DriveLoads, ctx: MetricTick) -> DriveLoads:
 
 
 def compute(state: DriveLoads, rollout: RolloutEnd) -> dict[str, Array]:
-    """Return peak torques, shares of time in saturation, and positive work, by column."""
+    """Return peak joint torques, shares of time at the torque limit, and the drives' positive work, by column."""
     share = state.saturated_time / jnp.maximum(rollout.time, 1e-9)
     speed = joint_speed.METRIC.compute(state.peak_rate, rollout)
     drive = rollout.world.drive

@@ -16,18 +16,17 @@ FinalPositions = tuple[Float[Array, "6 3"], FreeState]  # feet (m) and free bodi
 
 
 def begin(start: RolloutStart) -> FinalPositions:
-    """Return the state: feet and free bodies at the start."""
+    """Return the metric's state: positions of the feet and poses of the free bodies at the start."""
     return start.feet, start.free
 
 
 def update(state: FinalPositions, ctx: MetricTick) -> FinalPositions:
-    """Replace the stored feet and free bodies by those of this tick."""
+    """Replace the stored foot positions and free-body poses by those at the end of this tick."""
     return ctx.report.joints[:, -1], ctx.report.actual.free
 
 
 def compute(state: FinalPositions, rollout: RolloutEnd) -> dict[str, Array]:
-    """Return the number of feet on their planned faces at the end, and the largest distance of a foot from its planned
-    face, by column."""
+    """Return by column how many feet end on their planned faces, and the largest distance (m) from these faces."""
     feet, free = state
     target = to_world(rollout.plan.foothold[-1], rollout.plan.foot_frame[-1], free)
     here, there = (surface_at(rollout.world.obstacle, p, body_poses(free)) for p in (feet, target))

@@ -14,8 +14,7 @@ FINAL_INTERVAL_S = 12.0  # s of the plan, its last, over which the speed of a bo
 
 
 class BodiesMotion(NamedTuple):
-    """State of the motion metrics: positions of the free bodies (m) at the start, when the first stage ended, and in
-    the last ticks.
+    """Positions (m) of free bodies, such as balls, at the start, after the first stage, and in the last ticks.
 
     How far they went since both, and turned since the latter (rad); where they were when the plan ended, and since
     when that is (s); the least height.
@@ -35,7 +34,7 @@ class BodiesMotion(NamedTuple):
 
 
 def begin(start: RolloutStart) -> BodiesMotion:
-    """Return the state before any motion of the free bodies."""
+    """Return the state of the motion metrics before the free bodies move."""
     place = start.free.position
     zero = jnp.zeros((), place.dtype)
     here, far = FinalInterval(place, zero), jnp.full((), jnp.inf, place.dtype)
@@ -43,7 +42,7 @@ def begin(start: RolloutStart) -> BodiesMotion:
 
 
 def update(state: BodiesMotion, ctx: MetricTick) -> BodiesMotion:
-    """Update the displacements of the free bodies from their start."""
+    """Update how far (m) the free bodies, such as balls, have moved from their start."""
     place, quat = ctx.report.actual.free.position, ctx.report.actual.free.quat
     way = place - state.start
     settled = jnp.where(ctx.stage == 0, place, state.first_stage_end)
@@ -66,8 +65,7 @@ def update(state: BodiesMotion, ctx: MetricTick) -> BodiesMotion:
 
 
 def compute(state: BodiesMotion, rollout: RolloutEnd) -> dict[str, Array]:
-    """Return the displacements of the free bodies so far, and the speeds over the final interval of the plan, by
-    column."""
+    """Return the displacements of the free bodies, and their mean speeds over the plan's final interval, by column."""
     manoeuvre = rollout.world.manoeuvre
     if manoeuvre.drives_body:
         aim, velocity = (

@@ -14,8 +14,7 @@ from sweep.models.obstacles.surface import surface_at
 
 
 class LandingPatience(NamedTuple):
-    """State of the landing metrics: stage, start time and remaining waiting time (s) of the last tick; least of earlier
-    stages."""
+    """State of the landing metric: share of the allowed wait for late feet that is left, now and at least so far."""
 
     stage: Int[Array, ""]
     stage_start_time: Float[Array, ""]
@@ -24,7 +23,7 @@ class LandingPatience(NamedTuple):
 
 
 def update(state: LandingPatience, ctx: MetricTick) -> LandingPatience:
-    """Update the least remaining waiting time for late feet, judging a stage by its last tick."""
+    """Update the least share left of the time for which the robot may wait for feet that touch down late."""
     plan, tick, new = ctx.plan, ctx.report, ctx.stage != state.stage
     began = jnp.where(new, ctx.time - ctx.period, state.stage_start_time)
     waited = jnp.maximum(ctx.time - began - plan.duration[ctx.stage], 0.0) / jnp.maximum(plan.patience, ctx.period)

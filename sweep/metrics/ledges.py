@@ -16,8 +16,7 @@ ARRIVAL_GAP_M = 4e-3  # m, of a ball that has come to the far wall
 
 
 class LedgeCrossing(NamedTuple):
-    """State of the ledge-crossing metrics: distances (m) of mass centre past ball and of ball from the far wall;
-    docking speed."""
+    """State of the metrics for a ball between ledges: distances to ball centre and wall (m), docking speed (m/s)."""
 
     mass_centre_past_ball: Float[Array, ""]
     wall_gap: Float[Array, ""]
@@ -25,7 +24,7 @@ class LedgeCrossing(NamedTuple):
 
 
 def update(state: LedgeCrossing, ctx: MetricTick) -> LedgeCrossing:
-    """Update the distances, and the docking speed when the ball first reaches the far wall."""
+    """Update the distances to ball centre and far wall, and the speed at which the ball first reaches the wall."""
     ledges, tick = ctx.world.obstacle, ctx.report
     assert isinstance(ledges, Ledges)
     ball, speed = tick.actual.free.position[0], tick.actual.free.velocity[0, 0]
@@ -41,7 +40,7 @@ def update(state: LedgeCrossing, ctx: MetricTick) -> LedgeCrossing:
 
 
 def compute(state: LedgeCrossing, rollout: RolloutEnd) -> dict[str, Array]:
-    """Return the distance of the mass centre past the ball's centre, and docking gap and speed, by column."""
+    """Return by column: distance of the mass centre past the ball's centre, gap to the wall, and docking speed."""
     return {
         "past_centre_max_m": state.mass_centre_past_ball,
         "docking_gap_m": state.wall_gap,

@@ -13,7 +13,7 @@ from sweep.models.robot import total_mass
 
 
 class FootLoads(NamedTuple):
-    """State of the load metrics: largest friction ratio, its integral over time (s), largest normal force over weight.
+    """State of the foot load metrics: peak friction ratio and its time integral (s), peak normal force over weight.
 
     Sums over the feet of tangential force and of what friction allows (N), lately, and the least reserve they left.
     """
@@ -27,7 +27,7 @@ class FootLoads(NamedTuple):
 
 
 def update(state: FootLoads, ctx: MetricTick) -> FootLoads:
-    """Update peaks and integrals with the mean foot forces of this tick."""
+    """Update the peaks and time integrals of the foot loads with the mean foot forces of this tick."""
     tick, weight = ctx.report, GRAVITY * total_mass(ctx.world.robot)
     demand = jnp.where(
         tick.normal > FOOT_LOAD_THRESHOLD_N, tick.tangential / jnp.maximum(tick.normal, FOOT_LOAD_THRESHOLD_N), 0.0
@@ -49,7 +49,7 @@ def update(state: FootLoads, ctx: MetricTick) -> FootLoads:
 
 
 def compute(state: FootLoads, rollout: RolloutEnd) -> dict[str, Array]:
-    """Return peaks and means of the used friction, and the friction reserve, by column."""
+    """Return friction ratios (peak, mean), peak normal force over weight, and friction reserve, by column."""
     return {
         "friction_demand_max": state.largest_friction,
         "friction_demand_mean": state.friction_use_integral / jnp.maximum(rollout.time, 1e-9),

@@ -27,8 +27,7 @@ BOOKKEEPING_COLUMNS = {
 
 
 class OutcomeThresholds:
-    """Thresholds at which a rollout counts as failed or invalid; null stands for the threshold in the manoeuvre's
-    goal."""
+    """Thresholds of metrics beyond which a rollout counts as failed or invalid; null means the manoeuvre's default."""
 
     meanings: ClassVar = {cause.threshold: f"{cause.name}: {cause.sentence}" for cause in CAUSES if cause.threshold}
 
@@ -46,7 +45,7 @@ parameters(OutcomeThresholds)
 
 
 def resolve_thresholds(values: Mapping[str, float | None], case: Case) -> OutcomeThresholds:
-    """Return the thresholds for a kind of world, with null values replaced by those of the manoeuvre's goal.
+    """Return the outcome thresholds of a study, with null values replaced by the defaults of its manoeuvre.
 
     Args:
         values: Values by key of `outcome`.
@@ -83,7 +82,7 @@ def cause_meanings(limits: OutcomeThresholds) -> dict[str, str]:
 
 
 def sentence_with_limit(cause: Cause, limits: OutcomeThresholds) -> str:
-    """Return the sentence of a cause with value and unit of its threshold filled in."""
+    """Return the sentence that explains a cause of failure, with value and unit of its threshold filled in."""
     if not cause.threshold or not np.isfinite(limit := threshold_value(cause, limits)):
         return cause.sentence
     unit = format_unit(column_unit(cause.threshold))
@@ -92,7 +91,7 @@ def sentence_with_limit(cause: Cause, limits: OutcomeThresholds) -> str:
 
 
 def threshold_value(cause: Cause, limits: OutcomeThresholds) -> float:
-    """Look up the threshold of a cause.
+    """Return the value of the threshold at which a cause of failure or invalidity applies.
 
     Args:
         cause: The cause.
@@ -107,7 +106,7 @@ def threshold_value(cause: Cause, limits: OutcomeThresholds) -> float:
 def classify(
     figures: Mapping[str, np.ndarray], limits: OutcomeThresholds, stages: Sequence[str]
 ) -> dict[str, np.ndarray]:
-    """Label rows with their outcomes, from stored metrics and thresholds alone.
+    """Label rollouts as success, failure or invalid with their causes, from stored metrics and thresholds alone.
 
     The cause that occurred first decides. If several occur in the same tick, those that make a row invalid take
     precedence. Causes that are known only at the end come last. With thresholds other than those of the run a cause may
@@ -131,7 +130,7 @@ def classify(
 def least_margins(
     causes: Sequence[Cause], figures: Mapping[str, np.ndarray], limits: OutcomeThresholds
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find for each row the failure cause whose threshold is nearest, and the margin.
+    """Find for each row the failure threshold that its metrics come closest to, and the margin to this threshold.
 
     Causes without a finite threshold do not count; a metric that is NaN is beyond its threshold.
 
@@ -148,7 +147,7 @@ def least_margins(
 
 
 def explain_cause(row: Mapping[str, Any], limits: OutcomeThresholds) -> str:
-    """Explain in words why a row failed or is invalid.
+    """Explain in words why the rollout of a row failed or is invalid.
 
     Args:
         row: The row by column.

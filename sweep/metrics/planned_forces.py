@@ -10,13 +10,13 @@ from sweep.metrics.tick import RolloutEnd
 
 
 def compute(state: None, rollout: RolloutEnd) -> dict[str, Array]:
-    """Return the largest unsupported weight over the plan's stages, and the stage in which it occurs, by column."""
+    """Return by column the largest share of weight that planned forces leave unsupported, and the stage of it."""
     left = unsupported_weight(rollout.plan)
     return {"imbalance_max": jnp.max(left), "infeasible_stage": jnp.argmax(left).astype(jnp.int32)}
 
 
 def unsupported_weight(plan: Plan) -> Float[Array, " s"]:
-    """Return the weight that planned forces leave unsupported in each stage; empty without planned forces."""
+    """Return the share of the robot's weight that planned forces leave unsupported in each stage; 0 without them."""
     forces = plan.find_layer(ForceFeedforward)
     return jnp.zeros_like(plan.duration) if forces is None else forces.imbalance
 

@@ -33,13 +33,13 @@ class PlanProgress(NamedTuple):
 
 
 def begin(start: RolloutStart) -> PlanProgress:
-    """Return the state before the first tick: no progress."""
+    """Return the state of the progress metrics before the first tick: nothing travelled."""
     zero = jnp.zeros((), start.position.dtype)
     return PlanProgress(travel.METRIC.begin(start), zero, jnp.asarray(False), zero + 2)
 
 
 def update(state: PlanProgress, ctx: MetricTick) -> PlanProgress:
-    """Add this tick's displacement along the planned direction."""
+    """Update the travel along the planned direction, the position error, and the part of the plan that has run."""
     travelled = travel.METRIC.update(state.travel, ctx)
     given = MAX_DURATION_FACTOR * jnp.sum(ctx.plan.duration)
     ended = jnp.where(state.finished, state.plan_time_use, jnp.minimum(ctx.time / given, 1.0))
@@ -55,7 +55,7 @@ def update(state: PlanProgress, ctx: MetricTick) -> PlanProgress:
 
 
 def compute(state: PlanProgress, rollout: RolloutEnd) -> dict[str, Array]:
-    """Return the covered share of the path and the mean speed, by column."""
+    """Return the share of the planned path that the base has covered, and its mean speed, by column."""
     length = path_length(rollout.plan)
     left = jnp.linalg.norm(state.travel.position - rollout.plan.position[-1])
     goes = (length > 1e-6) & (

@@ -14,8 +14,7 @@ from sweep.models.obstacles.raft import CORNER_SIGNS, Raft
 
 
 class RaftMotionExtremes(NamedTuple):
-    """State of the raft metrics: least freeboard and draught of the corners (m), tilt (rad), motion, touchdown points
-    on the deck."""
+    """Extremes of the raft's motion: least freeboard and draught of corners (m), tilt (rad), slip on the deck (m)."""
 
     least_freeboard: Float[Array, ""]
     least_draught: Float[Array, ""]
@@ -28,7 +27,7 @@ class RaftMotionExtremes(NamedTuple):
 
 
 def begin(start: RolloutStart) -> RaftMotionExtremes:
-    """Return the state before any foot is loaded."""
+    """Return the state of the raft metrics before any foot is loaded."""
     far, zero = jnp.full((), jnp.inf, start.feet.dtype), jnp.zeros((), start.feet.dtype)
     return RaftMotionExtremes(far, far, zero, zero, zero, zero, BodyTouchdownPoints.before_first_load(start), zero)
 

@@ -10,8 +10,7 @@ from sweep.metrics.tick import MetricTick
 
 
 def shortfall_and_reserve_of_reach(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
-    """Return the largest shortfall of a foot target, and the least length by which a leg can still stretch or fold
-    (m)."""
+    """Yield how far (m) a foot target is out of reach at most, and how far a leg can still stretch or fold at least."""
     robot, leg = ctx.world.robot, ctx.report.joints
     stretch = jnp.linalg.norm(leg[:, -1] - leg[:, -3], axis=-1)
     left = jnp.minimum(robot.thigh + robot.shin - stretch, stretch - jnp.abs(robot.thigh - robot.shin))

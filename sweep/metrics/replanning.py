@@ -9,7 +9,7 @@ from sweep.metrics.tick import MetricTick
 
 
 def plan_shortfall(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
-    """Return the largest distance of a foothold of the newest plan beyond a leg's reach (m)."""
+    """Yield by how much (m) the farthest foothold of the newest plan is beyond a leg's reach."""
     assert ctx.learned.shortfall is not None  # since it applies
     yield ctx.learned.shortfall
 

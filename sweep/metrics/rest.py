@@ -11,8 +11,7 @@ from sweep.metrics.tick import REST_DURATION_S, MetricTick, RolloutStart
 
 
 class RestDrift(NamedTuple):
-    """State of the rest metrics: positions of hips, knees and feet at the plan's end (m), and largest displacement
-    since."""
+    """State of the rest metric: positions (m) of hips, knees and feet when the plan ended, and largest drift since."""
 
     has_plan_ended: Bool[Array, ""]
     plan_end_positions: Float[Array, "6 k 3"]  # in the axes of the base as it is told to be
@@ -20,14 +19,14 @@ class RestDrift(NamedTuple):
 
 
 def begin(start: RolloutStart) -> RestDrift:
-    """Return the state before the plan has ended."""
+    """Return the state of the rest metric while the plan still runs: no drift."""
     links = 3 if start.world.robot.legs == "two_link" else 4
     zero = jnp.zeros((), start.feet.dtype)
     return RestDrift(jnp.asarray(False), jnp.zeros((6, links, 3), zero.dtype), zero)
 
 
 def update(state: RestDrift, ctx: MetricTick) -> RestDrift:
-    """Update the displacements relative to the base's reference; riding along on a moving body is no displacement."""
+    """Update how far hips, knees and feet have drifted since the plan ended, relative to the base's reference pose."""
     here = (ctx.report.joints - ctx.target.position) @ matrix(ctx.target.quat)
     place = jnp.where(state.has_plan_ended, state.plan_end_positions, here)
     drift = jnp.where(ctx.finished, jnp.max(jnp.linalg.norm(here - place, axis=-1)), 0.0)

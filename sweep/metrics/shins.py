@@ -10,8 +10,7 @@ from sweep.models.obstacles.surface import surface_at
 
 
 def update(state: Float[Array, ""], ctx: MetricTick) -> Float[Array, ""]:
-    """Update the least sine of the angle between shin and surface, over loaded feet that are not in the first half of a
-    swing."""
+    """Update the least sine of the angle between shin and surface, over feet that carry load."""
     tick = ctx.report
     normal = surface_at(ctx.world.obstacle, tick.joints[:, -1], tick.bodies).normal
     goes = ctx.plan.swing[ctx.stage] & ~ctx.finished & (ctx.phase <= 0.5)

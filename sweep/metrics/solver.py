@@ -20,8 +20,7 @@ UNSETTLED_RESIDUAL = 0.1  # of the weight, a residual that counts for the share 
 
 
 class SolverValidity(NamedTuple):
-    """State of the validity metrics: whether all numbers were finite, solver residuals (N, s), energies and works
-    (J)."""
+    """State of the metrics for numerical validity: finiteness, contact-solver residual (N), energies and works (J)."""
 
     is_finite: Bool[Array, ""]
     largest_residual: Float[Array, ""]
@@ -34,13 +33,13 @@ class SolverValidity(NamedTuple):
 
 
 def begin(start: RolloutStart) -> SolverValidity:
-    """Return the state before the first tick: no violation."""
+    """Return the state of the validity metrics before the first tick: all numbers finite, no residual."""
     zero = jnp.zeros((), start.energy.dtype)
     return SolverValidity(jnp.asarray(True), zero, zero, start.energy, zero, zero, zero, zero)
 
 
 def update(state: SolverValidity, ctx: MetricTick) -> SolverValidity:
-    """Update solver residuals, and the growth of energy beyond the work of drives and pushes."""
+    """Update the contact solver's residual, and the growth of energy beyond the work of drives and pushes."""
     tick, robot = ctx.report, ctx.world.robot
     weight = GRAVITY * total_mass(robot)
     work, effort = state.total_work + tick.work, state.drive_work + tick.positive_work
@@ -59,7 +58,7 @@ def update(state: SolverValidity, ctx: MetricTick) -> SolverValidity:
 
 
 def compute(state: SolverValidity, rollout: RolloutEnd) -> dict[str, Array]:
-    """Return residuals over the weight, and the growth of energy, by column."""
+    """Return the largest contact-solver residual in N and over the weight, and the growth of energy, by column."""
     return {
         "finite": state.is_finite,
         "solver_residual_max_n": state.largest_residual,

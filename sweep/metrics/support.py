@@ -14,14 +14,14 @@ from sweep.models.geometry import support_margin
 
 
 class StabilityMargin(NamedTuple):
-    """State of the stability metric: filtered normal forces of the feet (N), and the least margin so far (m)."""
+    """State of the stability metric: filtered foot loads (N), and least margin (m) to the support polygon's border."""
 
     filtered_load: Float[Array, " 6"]
     least_margin: Float[Array, ""]
 
 
 def update(state: StabilityMargin, ctx: MetricTick) -> StabilityMargin:
-    """Update the least distance of the mass centre, in plan view, to the border of the support polygon."""
+    """Update the least horizontal distance (m) from the mass centre to the border of the support polygon."""
     tick = ctx.report
     load = state.filtered_load + min(1.0, ctx.period / FORCE_FILTER_TIME_S) * (tick.normal - state.filtered_load)
     margin = support_margin(tick.joints[:, -1, :2], load > FOOT_LOAD_THRESHOLD_N, tick.centre_of_mass[:2])

@@ -36,7 +36,7 @@ FORCE_FILTER_TIME_S = 0.05
 
 
 class TickReport(NamedTuple):
-    """An engine's report of one control tick. World axes; k points along a leg."""
+    """An engine's report of one control tick to the metrics: foot forces, torques, poses; world axes."""
 
     torque_peak: Float[Array, "6 3"]  # N m, absolute
     saturated: Float[Array, "6 3"]  # share of the tick
@@ -55,7 +55,7 @@ class TickReport(NamedTuple):
 
 
 class RolloutStart(NamedTuple):
-    """State of a rollout before its first tick, from which metrics begin; made by engines."""
+    """State of robot and free bodies before the first tick, from which the metrics' states are made."""
 
     world: Case
     plan: Plan
@@ -80,16 +80,16 @@ class RolloutStart(NamedTuple):
         return self.quat
 
     def constant_state(self, value: Any) -> Array:
-        """Return a constant as a state, floats in the rollout's precision."""
+        """Convert a constant to a metric state; floats get the rollout's precision."""
         return jnp.asarray(value, self.feet.dtype if np.asarray(value).dtype.kind == "f" else None)
 
     def init_touchdown_points(self) -> "BodyTouchdownPoints":
-        """Return the touchdown points before any foot is loaded."""
+        """Return the touchdown points of the feet before any foot is loaded."""
         return BodyTouchdownPoints.before_first_load(self)
 
 
 class MetricTick(NamedTuple):
-    """The control tick that has just passed, with which metrics are updated; made by engines."""
+    """State, commands and engine's report of the control tick that has just passed, from which metrics are updated."""
 
     world: Case
     plan: Plan
@@ -127,7 +127,7 @@ class MetricTick(NamedTuple):
 
     @property
     def attitude_error(self) -> Float[Array, " 4"]:
-        """Rotation of the base from its reference, in the axes of the reference."""
+        """Rotation of the base from its reference attitude (quaternion), in the axes of the reference."""
         return multiply(conjugate(self.reference.quat), self.report.actual.quat)
 
     @property
@@ -137,12 +137,12 @@ class MetricTick(NamedTuple):
 
     @property
     def joint_rates(self) -> Float[Array, "6 3"]:
-        """Rates (rad/s) at the end of the tick, of six joints in each of the groups alpha, beta and gamma."""
+        """Joint rates (rad/s) at the end of the tick, of six legs for each of the joints alpha, beta and gamma."""
         return self.report.actual.rates
 
     @property
     def joint_torques(self) -> Float[Array, "6 3"]:
-        """Largest torques (N m) of the tick, of six joints in each of the groups alpha, beta and gamma."""
+        """Peak joint torques (N m) in the tick, of six legs for each of the joints alpha, beta and gamma."""
         return self.report.torque_peak
 
     @property
@@ -151,8 +151,7 @@ class MetricTick(NamedTuple):
         return self.report.positive_work
 
     def motion_along_command(self, before: Float[Array, " 3"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """Return the base's displacement (m) along the planned direction in this tick, and the tick's length (s); 0 at
-        rest."""
+        """Return the base's motion (m) along the planned direction in this tick, and its duration (s); 0 at rest."""
         way = self.plan.position[self.stage] - self.stage_start
         length = jnp.linalg.norm(way)
         moving = (length > 1e-6) & ~self.finished
@@ -168,7 +167,7 @@ def remaining_plan_time(ctx: MetricTick) -> Float[Array, ""]:
 
 
 class BodyTouchdownPoints(NamedTuple):
-    """Touchdown points of the feet (m) in the axes of the body under each foot, that body, and whether each foot holds.
+    """Points (m) where the feet touched down, in the axes of the body under each foot, and which feet hold there.
 
     A foot that slides from one body to another without a swing keeps the point on the first one.
     """
@@ -179,12 +178,12 @@ class BodyTouchdownPoints(NamedTuple):
 
     @classmethod
     def before_first_load(cls, start: RolloutStart) -> "BodyTouchdownPoints":
-        """Return the state of feet that have not been loaded yet."""
+        """Return the touchdown points of feet that have carried no load yet."""
         body = jnp.full(6, -1, jnp.int32) if len(start.free.position) else None
         return cls(jnp.zeros_like(start.feet), body, jnp.zeros(6, bool))
 
     def update(self, ctx: MetricTick) -> tuple["BodyTouchdownPoints", Float[Array, " 6"]]:
-        """Return the state after a tick, and the distance of each loaded foot from its touchdown point (m).
+        """Return the touchdown points after a tick, and the distance (m) of each loaded foot from its point.
 
         A foot takes hold at its actual position when it is first loaded: after the start, or in the second half of a
         swing. A standing foot that is unloaded for a moment keeps its point, so that chattering does not hide a slip.
@@ -204,13 +203,13 @@ class BodyTouchdownPoints(NamedTuple):
 
 
 class FinalInterval(NamedTuple):
-    """Positions (m) and time (s) at the start of the plan's final interval, from which mean velocities are computed."""
+    """Positions (m) and time (s) at the start of the plan's last seconds, over which mean velocities are computed."""
 
     positions: Float[Array, "*k 3"]
     time: Float[Array, ""]
 
     def update(self, ctx: MetricTick, place: Float[Array, "*k 3"], length: float) -> "FinalInterval":
-        """Replace positions and time until the last `length` seconds of the plan begin.
+        """Replace the stored positions and time until the last `length` seconds of the plan begin.
 
         Args:
             ctx: The tick.
@@ -221,13 +220,12 @@ class FinalInterval(NamedTuple):
         return FinalInterval(jnp.where(before, place, self.positions), jnp.where(before, ctx.time, self.time))
 
     def mean_velocity(self, place: Float[Array, "*k 3"], time: Array) -> Float[Array, "*k 3"]:
-        """Return the mean velocity (m/s) from the start of the final interval to positions `place` (m) at `time`
-        (s)."""
+        """Return the mean velocity (m/s) over the plan's last seconds, up to positions `place` (m) at `time` (s)."""
         return (place - self.positions) / jnp.maximum(time - self.time, 1e-9)
 
 
 class RolloutEnd(NamedTuple):
-    """A rollout after its last tick, from which metrics are computed."""
+    """World, plan, time and last stage of a rollout after its last tick, from which metrics are computed."""
 
     world: Case
     plan: Plan
@@ -241,16 +239,16 @@ class RolloutEnd(NamedTuple):
         return GRAVITY * total_mass(self.world.robot)
 
     def integrate_sum(self, total: Array) -> Array:
-        """Return the sum unchanged, since the engines report integrals over each tick."""
+        """Return a sum over ticks unchanged as the integral over time, since engines report integrals of each tick."""
         return total
 
     def displacement_along(self, displacement: Array) -> Array:
-        """Raise an error: the planned direction changes from stage to stage."""
+        """Raise an error: a displacement along the planned direction is undefined, as that changes between stages."""
         raise NotImplementedError
 
 
 def goal_cause(sentence: str, metric: str, **options: Any) -> Cause:
-    """Make a failure cause for a part of the manoeuvre's goal, judged at the end of the rollout.
+    """Make a cause of failure for one condition of the manoeuvre's goal, checked when the rollout ends.
 
     Args:
         sentence: What happened, for messages.

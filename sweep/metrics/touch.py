@@ -13,13 +13,13 @@ from sweep.models.obstacles.surface import Obstacle
 
 
 def touch_estimate(rollout: RolloutStart | MetricTick) -> TouchState:
-    """Return the estimated sizes of the obstacle at the end of a rollout that learns by touch."""
+    """Return the obstacle sizes that the robot has estimated by touch at the end of a rollout."""
     assert rollout.learned.touch is not None  # since it applies
     return rollout.learned.touch
 
 
 def compute(state: TouchState, rollout: RolloutEnd) -> dict[str, Array]:
-    """Return the estimated sizes of the obstacle and their standard deviations, by column."""
+    """Return the obstacle sizes estimated by touch and their standard deviations, by column."""
     parts = ({f"learned_{n}_{u}": jnp.asarray(getattr(state.obstacle, n)),
               f"learned_{n}_sd_{u}": jnp.sqrt(state.covariance[k, k])}
              for k, (n, u) in enumerate(learned_size_units(rollout.world.obstacle).items()))  # fmt: skip

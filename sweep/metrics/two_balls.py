@@ -16,8 +16,7 @@ TOUCHING_GAP_M = 4e-3  # m, between balls that touch
 
 
 class BallMeeting(NamedTuple):
-    """State of the two-ball metrics: whether and how fast (m/s) the balls met, their gaps (m), and places of the second
-    ball (m)."""
+    """State of the two-ball metrics: whether and how fast (m/s) the balls met, gaps and second ball's places (m)."""
 
     have_met: Bool[Array, ""]
     meeting_speed: Float[Array, ""]
@@ -27,14 +26,14 @@ class BallMeeting(NamedTuple):
 
 
 def begin(start: RolloutStart) -> BallMeeting:
-    """Initial state, before the balls meet."""
+    """Return the state of the two-ball metrics before the balls meet."""
     place = start.free.position[1]
     zero = jnp.zeros((), place.dtype)
     return BallMeeting(jnp.zeros((), bool), zero, zero, place, FinalInterval(place, zero))
 
 
 def update(state: BallMeeting, ctx: MetricTick) -> BallMeeting:
-    """Update gaps and speeds of the balls, and record their first contact."""
+    """Update gaps (m) and speeds (m/s) of the two balls, and record their first contact."""
     balls, free = ctx.world.obstacle, ctx.report.actual.free
     assert isinstance(balls, TwoBalls)
     apart = jnp.linalg.norm(free.position[1] - free.position[0]) - 2 * balls.radius
@@ -54,8 +53,7 @@ def update(state: BallMeeting, ctx: MetricTick) -> BallMeeting:
 
 
 def compute(state: BallMeeting, rollout: RolloutEnd) -> dict[str, Array]:
-    """Return the speed at which the balls met, their largest gap during the transfer, and the second ball's end state,
-    by column."""
+    """Return by column: speed at which the balls met, largest gap during the transfer, end state of the second ball."""
     return {
         "meeting_speed_mps": state.meeting_speed,
         "balls_apart_max_m": state.largest_gap,

@@ -36,7 +36,7 @@ END_OFFSET = 1e-3
 
 
 class KinematicPlayback(NamedTuple):
-    """Poses and speeds of a plan on a ball, computed by kinematics alone, one entry per control tick."""
+    """Poses, speeds and margins of a plan on a ball in each control tick, computed by kinematics alone."""
 
     stage: Int[Array, " t"]
     margins: PoseMargins
@@ -47,7 +47,7 @@ class KinematicPlayback(NamedTuple):
 
 
 class FootContacts(NamedTuple):
-    """Points where the feet landed, in the frames of the bodies under them."""
+    """Points where the feet last landed (m), each in the axes of the body under the foot."""
 
     feet: Float[Array, "6 3"]  # m, in their frames
     frame: Int[Array, " 6"]
@@ -64,7 +64,7 @@ class BallRoll(NamedTuple):
 
 
 def play_plan(case: Case, plan: Plan, period: float, ticks: int) -> KinematicPlayback:
-    """Run a plan on a ball through its tracker, without physics.
+    """Run a plan on a ball through the tracker with exact sensors and without physics.
 
     Args:
         case: The case, which is both world and belief.
@@ -170,7 +170,7 @@ def _roll_ball(
 
 
 def zmp_margin(played: KinematicPlayback, period: float) -> Float[Array, " t"]:
-    """Return how far (m) the zero-moment point lies inside the support polygon, at the mean height of standing feet.
+    """Return the margin (m, one per tick) of the zero-moment point inside the support polygon at foot height.
 
     The mass centre's path is averaged over `SMOOTHING_TIME`, as drives smooth the jumps of commands.
 
@@ -194,7 +194,7 @@ def zmp_margin(played: KinematicPlayback, period: float) -> Float[Array, " t"]:
 
 
 def stage_minima(played: KinematicPlayback, stages: int) -> PoseMargins:
-    """Return the least margins of each stage.
+    """Return the least value that each margin (reach, clearance, support, ...) takes in each stage.
 
     Args:
         played: The played plan.

@@ -23,7 +23,7 @@ MIN_SLACK_SHARE = 0.1  # least share of the slack of a bound that a step leaves
 
 
 class BarrierState(NamedTuple):
-    """Iterate of the barrier method: forces (in weights), reserve, and multipliers of the balance."""
+    """Iterate of the interior-point search for the force reserve: foot forces, reserve, and Lagrange multipliers."""
 
     force: Float[Array, "6 3"]  # of the feet, in weights
     reserve: Float[Array, ""]  # in weights
@@ -31,7 +31,7 @@ class BarrierState(NamedTuple):
 
 
 def force_reserve(pose: ForcePlanningPose, bounds: ForceBounds) -> Float[Array, ""]:
-    """Return the largest amount by which all bounds of foot forces can be tightened, differentiable in the pose.
+    """Return by how much, in weights, all bounds on foot forces can be tightened; differentiable in the pose.
 
     Args:
         pose: The standing robot.

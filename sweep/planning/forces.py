@@ -42,7 +42,7 @@ KNOTS = 5  # moments of a stage for which forces are planned
 
 
 class ForcePlanningPose(NamedTuple):
-    """A pose of the robot for force planning, world axes; made by `force_planning_pose`."""
+    """Feet, surface normals and leg Jacobians of a pose for which foot forces are planned, world axes."""
 
     arm: Float[Array, "6 3"]  # m, feet from the robot's mass centre
     normal: Float[Array, "6 3"]  # of the surfaces under the feet, outward
@@ -53,7 +53,7 @@ class ForcePlanningPose(NamedTuple):
 
 
 class ForceBounds(NamedTuple):
-    """Bounds on foot forces, each one number or one for each foot; made by `PlannedForces.force_bounds`."""
+    """Bounds on the forces of the feet, each a single number or one number for each foot."""
 
     friction: Array | float  # coefficient
     torque: Array | float  # N m, of each joint
@@ -64,21 +64,21 @@ class ForceBounds(NamedTuple):
 
 
 class ForceProblem(NamedTuple):
-    """Pose and bounds for which forces are planned."""
+    """Pose of the robot and bounds on its foot forces, for which forces are searched."""
 
     pose: ForcePlanningPose
     bounds: ForceBounds
 
 
 class SearchState(NamedTuple):
-    """State of the search for forces after a Newton step."""
+    """State of the search for foot forces after a Newton step."""
 
     force: Float[Array, "6 3"]  # in weights
     level: Float[Array, " 6"]  # bound of the effort, in weights
 
 
 class FootForces(NamedTuple):
-    """Foot forces in a pose, and the effort they take; made by `evaluate_forces`."""
+    """Foot forces in a pose, and the largest friction, torque and normal force that they need."""
 
     force: Float[Array, "6 3"]  # N, of the surface on the foot, world axes
     friction: Float[Array, ""]  # largest ratio of tangential to normal force
@@ -90,7 +90,7 @@ class FootForces(NamedTuple):
 def force_planning_pose(
     robot: Robot, stance: Stance, normal: Float[Array, "6 3"], stands: Bool[Array, " 6"]
 ) -> ForcePlanningPose:
-    """Return the pose for force planning of a robot in a given stance.
+    """Return the data for force planning (feet, normals, Jacobians) of a robot in a given stance.
 
     Args:
         robot: the robot, as believed.
@@ -137,7 +137,7 @@ def distribute_forces(pose: ForcePlanningPose, bounds: ForceBounds, least: Effor
 
 
 def force_search(least: Effort) -> Callable[[ForceProblem], Float[Array, "n 6 3"]]:
-    """Return a function that searches for balanced forces, in weights, for n problems at once.
+    """Return a function that finds balanced foot forces, in units of the robot's weight, for n poses at once.
 
     In a traced program it is a single operation with a name from `SEARCHES`, so that the package's own compiler can
     replace it by a faster one that treats all problems in parallel.
@@ -158,7 +158,7 @@ def _make_search(least: Effort) -> Callable[[ForceProblem], Float[Array, "n 6 3"
 
 
 def search_step(least: Effort, problem: ForceProblem, search: SearchState, number: Int[Array, ""]) -> SearchState:
-    """Run one Newton step of the search for a single problem.
+    """Run one Newton step of the search for foot forces in a single pose.
 
     Args:
         least: effort to minimise.
@@ -170,7 +170,7 @@ def search_step(least: Effort, problem: ForceProblem, search: SearchState, numbe
 
 
 def evaluate_forces(pose: ForcePlanningPose, force: Float[Array, "6 3"]) -> FootForces:
-    """Return forces in N and the effort they take; forces that are not finite count as 0.
+    """Convert foot forces from units of weight to N, and compute the friction and torques that they need.
 
     Args:
         pose: the pose.
@@ -329,7 +329,7 @@ class ForcePlan(NamedTuple):
 
 
 def planned_pose(belief: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) -> ForcePlanningPose:
-    """Return the planned pose at a phase of a stage, with free bodies where they start.
+    """Return the pose for force planning at a phase `u` of a stage, with free bodies at their start poses.
 
     Args:
         belief: believed parameters.
@@ -345,7 +345,7 @@ def planned_pose(belief: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array
 
 
 def plan_forces(belief: Case, plan: Plan, bounds: ForceBounds, least: Effort) -> ForcePlan:
-    """Plan foot forces along a whole plan, with the feet on the believed obstacle.
+    """Plan foot forces for all stages of a plan, with the feet on the obstacle as believed.
 
     In stages without any motion, forces change linearly from those before to those after. So feet are unloaded when
     their swing starts.
@@ -379,7 +379,7 @@ def plan_forces(belief: Case, plan: Plan, bounds: ForceBounds, least: Effort) ->
 
 @parameters
 class PlannedForces(Manoeuvre):
-    """Base class of manoeuvres that hold on by planned foot forces, with the parameters of force planning."""
+    """Base class of manoeuvres that hold on to an obstacle by planned foot forces."""
 
     plans_forces: ClassVar = True
 
@@ -396,7 +396,7 @@ class PlannedForces(Manoeuvre):
     anchoring: float = quantity(0.01, "s", above=0)  # time constant with which footholds follow the measured feet
 
     def with_load_transfer(self, stages: Sequence[Stage]) -> list[Stage]:
-        """Return the stages with a rest before each, in which feet that are about to swing are unloaded.
+        """Return the stages with a rest before each, in which the feet that swing next are unloaded.
 
         A rest is in the frames of the stage before it.
         """
@@ -407,12 +407,12 @@ class PlannedForces(Manoeuvre):
         )]  # fmt: skip
 
     def force_bounds(self, belief: Case) -> ForceBounds:
-        """Return the bounds on foot forces."""
+        """Return the bounds on normal force, friction and torque of the feet for force planning."""
         friction, torque = self.friction_share * belief.contact.friction, self.torque_share * belief.drive.torque_limit
         return ForceBounds(friction, torque, self.least_normal, slack=self.slack)
 
     def force_plan(self, belief: Case, plan: Plan) -> ForcePlan:
-        """Return the foot forces of least `effort` along a plan.
+        """Plan the foot forces along a plan that take the least effort, as `effort` measures it.
 
         Args:
             belief: believed parameters.
@@ -421,7 +421,7 @@ class PlannedForces(Manoeuvre):
         return plan_forces(belief, plan, self.force_bounds(belief), cast(Effort, self.effort))
 
     def with_feedforward(self, belief: Case, plan: Plan) -> Plan:
-        """Return the plan with planned forces, as a `Feedforward` layer of joint offsets for the believed drives.
+        """Return the plan with a tracker layer whose joint offsets produce the planned foot forces.
 
         Args:
             belief: believed parameters.

@@ -28,7 +28,7 @@ MEANINGS = {  # of gaits, in a line each
 
 
 class GaitStep(NamedTuple):
-    """Geometry and timing of the regular step cycle."""
+    """Half length, lift and duration of a swing in a regular gait."""
 
     half_length: Array | float  # m, d_x
     height: Array | float  # m, d_y
@@ -38,7 +38,7 @@ class GaitStep(NamedTuple):
     def from_ratios(
         cls, unit: Array | float, half: Array | float, lift: Array | float, rate: Array | float
     ) -> "GaitStep":
-        """Make a step from ratios to a length `unit` (m).
+        """Make a step whose length and lift are given as ratios to the length `unit` (m).
 
         Args:
             unit: length (m) that the ratios refer to.
@@ -55,7 +55,7 @@ class GaitStep(NamedTuple):
 
 
 def body_advance(gait: Sequence[Sequence[int]], step: GaitStep) -> Array | float:
-    """Return how far the body moves during one swing (m): 2 x* / (n - 1), with n groups of legs that land at x*.
+    """Return how far (m) the body moves during one swing of a gait.
 
     For the tripod 2 x*, so that v_o = k' x*/t* with k' = 2; for the gallop x*.
 
@@ -69,8 +69,7 @@ def body_advance(gait: Sequence[Sequence[int]], step: GaitStep) -> Array | float
 def initial_foot_offsets(
     gait: Sequence[Sequence[int]], step: GaitStep, forward: Float[Array, " 3"]
 ) -> Float[Array, "6 3"]:
-    """Return the feet at the start relative to the centres of their cycles (m, (6, 3)); the group that swings first is
-    rearmost.
+    """Return the feet at the start, (6, 3) in m, relative to the centres of their gait cycles.
 
     A leg that swings at turns p, p' of n lands ahead of its centre by half of what the body covers during its stance,
     so that the stance is symmetric about the centre.

@@ -37,7 +37,7 @@ RATE_INTERVAL = 0.02  # share of a stage over which joint rates are differenced
 
 
 class PoseMargins(NamedTuple):
-    """Margins of a pose, such as reach and clearance; negative where a requirement is violated."""
+    """Margins of a pose (reach, clearance, support); negative where a requirement is violated."""
 
     base: Float[Array, "*b"]  # m, distance from the base to the obstacle
     links: Float[Array, "*b"]  # m, distance from the links to the obstacle; of shins without the foot
@@ -55,7 +55,7 @@ class PoseMargins(NamedTuple):
 
 
 def planned_margins(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""]) -> PoseMargins:
-    """Return the margins of a plan at one phase of a stage, with free bodies at their start.
+    """Return the margins of reach and clearance of a plan at phase `u` of a stage, with free bodies at their start.
 
     Args:
         case: The planned case.
@@ -92,7 +92,7 @@ def stance_margins(
     shortfall: Array,
     swing: SwingFeet,
 ) -> PoseMargins:
-    """Return the margins of a single stance.
+    """Return the margins of reach, clearance and support of a single stance.
 
     Args:
         case: The case.
@@ -137,7 +137,7 @@ def stance_margins(
 def planned_force_reserve(
     case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array, ""], bounds: forces.ForceBounds
 ) -> Array:
-    """Return the force reserve of a plan at one phase of a stage, as a share of the weight.
+    """Return by how much bounds on foot forces can be tightened at phase `u` of a stage, as a share of the weight.
 
     Args:
         case: The planned case.
@@ -166,7 +166,7 @@ _finite_gradient.defvjp(lambda x: (x, None), _finite_gradient_backward)
 def planned_stance(
     case: Case, plan: Plan, stage: Array, u: Array
 ) -> tuple[Stance, Float[Array, "6 3"], Float[Array, " 6"]]:
-    """Return the planned stance at one phase of a stage, by inverse kinematics.
+    """Return the planned stance and its joint angles at phase `u` of a stage, by inverse kinematics.
 
     Args:
         case: The planned case.

@@ -40,7 +40,7 @@ type Place = Mapping[str, Numbers]  # coordinates in one chart
 
 @dataclass(frozen=True)
 class Move:
-    """A move as written in a plan file; made by `read_moves`, with the keys of its part.
+    """One move of a plan file: which feet go where, where the base goes, and how long this takes.
 
     Lengths are in the manoeuvre's unit unless said otherwise.
     """
@@ -75,7 +75,7 @@ SIZES = {key: len(names) for key, names in COMPONENTS.items() if key != "base"} 
 
 
 class Footing(NamedTuple):
-    """Foothold of a foot: a point, and the coordinate frame that it moves with."""
+    """Foothold of a foot: a point (m), and the body or world frame in which the point is fixed."""
 
     point: Float[Array, " 3"]  # m, in `frame`; the next swing's curve starts from it
     frame: int = WORLD_FRAME  # frame of `point`
@@ -84,7 +84,7 @@ class Footing(NamedTuple):
 
 
 class StandingState(NamedTuple):
-    """Feet and base of the robot between two moves."""
+    """Footholds of all feet and pitch of the base between two moves of a plan file."""
 
     feet: Mapping[int, Footing]  # by leg
     pitch: Number  # rad, of the base, nose up
@@ -92,7 +92,7 @@ class StandingState(NamedTuple):
 
 
 def make_standing(feet: Feet, pitch: Number, frame: int = WORLD_FRAME) -> StandingState:
-    """Return the `StandingState` of a robot on footholds that are not given in a chart.
+    """Return the `StandingState` of a robot whose footholds are given as points, not as coordinates of the obstacle.
 
     Args:
         feet: leg number -> foothold (m).
@@ -104,7 +104,7 @@ def make_standing(feet: Feet, pitch: Number, frame: int = WORLD_FRAME) -> Standi
 
 @dataclass(frozen=True)
 class MoveContext:
-    """Charts, frames and directions to which moves of a plan file refer, for one manoeuvre on its obstacle."""
+    """Coordinate systems of the obstacle, units and directions by which moves of a plan file are interpreted."""
 
     belief: Case
     unit: Number  # m, unit of lengths
@@ -120,7 +120,7 @@ class MoveContext:
     stage: Mapping[str, Any] = field(default_factory=dict)  # further fields of all stages
 
     def foothold_at(self, leg: int, place: Place, where: str, depth: Number | None = None) -> Footing:
-        """Return the foothold of a leg at a place given in the plan file.
+        """Return the foothold of a leg from its coordinates in a plan file.
 
         Args:
             leg: leg number.
@@ -140,7 +140,7 @@ class MoveContext:
         return Footing(point, chart.frame, stands, place)
 
     def base_pose_at(self, place: Place, where: str) -> tuple[Float[Array, " 3"], Number | None, Chart]:
-        """Return the base's centre (m) at a place given in the plan file, its pitch (rad) if given, and the chart.
+        """Return the base's centre (m), its pitch (rad) if given, and the chart, from coordinates in a plan file.
 
         Args:
             place: coordinates in a chart, with the pitch (deg) after them if the chart does not determine it.
@@ -160,7 +160,7 @@ class MoveContext:
         return point, jnp.radians(jnp.asarray(pitch[0], float)) if pitch else None, chart
 
     def chart_and_coordinates(self, place: Place, where: str) -> tuple[str, Chart, Numbers]:
-        """Return the name of the chart that a place uses, the chart, and the place's coordinates in it.
+        """Return name and definition of the chart (coordinates on the obstacle) of a plan-file place, and its numbers.
 
         Args:
             place: coordinates in a chart.
@@ -185,7 +185,7 @@ class MoveContext:
         return np.array([-y, x, 0.0])
 
     def to_world_vector(self, leg: int, numbers: Numbers) -> Float[Array, " 3"]:
-        """Convert a vector from components outward from the leg's side, ahead and up to world axes."""
+        """Convert a vector to world axes from components outward from the leg's side of the body, ahead, and up."""
         out, ahead, up = (jnp.asarray(number, float) for number in numbers)
         level = float(SIDE_BY_LEG[leg - 1]) * out * self.left_direction + ahead * np.array(
             [*self.belief.obstacle.forward, 0.0]
@@ -194,7 +194,7 @@ class MoveContext:
 
 
 def initial_stance(part: str, context: MoveContext) -> tuple[Float[Array, "6 3"], Float[Array, " 3"], StandingState]:
-    """Return feet and base at the start, from the part of a plan file that places the robot.
+    """Return feet and base at the start, as the given part of the plan file places them.
 
     Args:
         part: name of the part.
@@ -218,7 +218,7 @@ def initial_stance(part: str, context: MoveContext) -> tuple[Float[Array, "6 3"]
 def part_stages(
     part: str, context: MoveContext, standing: StandingState, prefix: str | None = None
 ) -> tuple[list[Stage], StandingState]:
-    """Return the plan stages of one part of a plan file, and feet and base of the robot after them.
+    """Convert the moves in one part of a plan file to plan stages; return these, and feet and base after them.
 
     Args:
         part: name of the part.
@@ -235,7 +235,7 @@ def part_stages(
 def move_stages(
     moves: Mapping[str, Move], context: MoveContext, standing: StandingState, prefix: str
 ) -> tuple[list[Stage], StandingState]:
-    """Return the plan stages of some moves, and feet and base of the robot after them.
+    """Convert moves of a plan file to plan stages; return these, and feet and base after them.
 
     Args:
         moves: moves by name.
@@ -322,7 +322,7 @@ def foot_in_frame(belief: Case, foot: Footing, frame: int) -> Float[Array, " 3"]
 
 
 def read_moves(belief: Case, part: str, enclosing: tuple[str, ...] = ()) -> dict[str, Move]:
-    """Return the moves in a part of a case's plan file, by name.
+    """Return the moves (steps of feet and base) in one part of a case's plan file, by name.
 
     A part with `repeat` has its moves several times, with prefixes `1.`, `2.` and so on. A part with `reverse` has the
     moves of another part backwards, which started where the only move of the part `from` places the robot. It may have
@@ -373,7 +373,7 @@ def _repetition(values: Any, k: int) -> Any:
 
 
 def reverse_moves(moves: Mapping[str, Move]) -> dict[str, Move]:
-    """Return moves in reverse order, which lead back to the place where the first move begins."""
+    """Return moves in reverse order, so that they lead back to where the first move begins."""
     start, *others = moves.items()
     base, feet, reversed_moves = start[1].base, _by_leg(start[1]), {}
     for name, move in others:
@@ -407,7 +407,7 @@ def _by_leg(move: Move) -> dict[str, Place | None]:
 
 
 def placing_move(belief: Case, part: str, enclosing: tuple[str, ...] = ()) -> tuple[str, Move]:
-    """Return name and content of the only move in a part, which has to place the base and all feet.
+    """Return name and content of the only move in a part of a plan file; the move must place the base and all feet.
 
     Args:
         belief: the case.
@@ -496,7 +496,7 @@ def _leaves(value: Any) -> Iterator[Any]:
 
 
 def read_numbers[T](cls: type[T], belief: Case, part: str) -> T:
-    """Return a part of a case's plan that holds numbers (rather than moves) as a named tuple of the class `cls`.
+    """Return a part of the plan file that holds numbers instead of moves, as the named tuple class `cls`.
 
     Args:
         cls: named tuple with the part's keys.

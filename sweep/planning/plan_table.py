@@ -53,8 +53,7 @@ Ranges = Mapping[str, tuple[float, float]]  # least and largest value of sizes, 
 
 
 def refuse_malformed(content: Content) -> None:
-    """Raise `InputError` if a plan file's content is malformed; allowed are parts and slopes of words and finite
-    numbers."""
+    """Raise `InputError` if a plan file's content has other values than tables of words and finite numbers."""
 
     def wanted(form: Any, value: Any, path: str, what: str) -> None:
         if not isinstance(value, form):
@@ -95,12 +94,12 @@ def refuse_malformed(content: Content) -> None:
 
 
 def plan_direction(case: Any) -> str:
-    """Return the direction in time in which a case's plan is executed, one of `DIRECTIONS`."""
+    """Return whether a case's plan is executed forward, backward in time, or there and back: one of `DIRECTIONS`."""
     return str(_file_content(case).get(WAY, FORTH))
 
 
 def plan_content(case: Any) -> Content:
-    """Return the content of a case's plan with changed numbers, formulas unevaluated; empty if the plan has no file."""
+    """Return the content of a case's plan file with the study's numbers in it and its formulas not evaluated."""
     changes = case.plan.changes
 
     def now(path: str, value: Any) -> Any:
@@ -111,7 +110,7 @@ def plan_content(case: Any) -> Content:
 
 
 def evaluate_plan(case: Any, part: str = "") -> Content:
-    """Evaluate a case's plan: changed numbers, formulas, and slopes by the case's sizes.
+    """Return the content of a case's plan file, with formulas evaluated and corrections for sizes (`slopes`) applied.
 
     Args:
         case: The believed case; its numbers may be traced.
@@ -128,13 +127,13 @@ def evaluate_plan(case: Any, part: str = "") -> Content:
 
 
 def plan_values(case: Any) -> dict[str, float]:
-    """Return all numbers of a case's plan by path, with formulas evaluated but without slopes."""
+    """Return all numbers of a case's plan by path, formulas evaluated, without corrections for sizes (`slopes`)."""
     found = numbers_by_path(_evaluate_content(case, _file_content(case), {}), case.obstacle.charts)
     return {path: float(value) for path, value in found.items()}
 
 
 def formula_values(case: Any) -> dict[str, float]:
-    """Evaluate the formulas in a case's plan; return values by path."""
+    """Evaluate the formulas in a case's plan file; return their values by path in the file."""
     text = {
         path
         for path, value in numbers_by_path(plan_content(case), case.obstacle.charts).items()
@@ -251,7 +250,7 @@ def _file_content(case: Any) -> Content:
 
 
 def parameter_value(case: Any, path: str, label: str = "", groups: Names = SIZED) -> Any:
-    """Read a parameter of a case by its path.
+    """Read the value of a parameter of robot, obstacle or manoeuvre by its dotted path.
 
     Args:
         case: The case.
@@ -270,12 +269,12 @@ def parameter_value(case: Any, path: str, label: str = "", groups: Names = SIZED
 
 
 def default_plan_content(case: Any) -> Content:
-    """Return the content of the manoeuvre's own plan file; empty if it has none."""
+    """Return the content of the default plan file of a case's manoeuvre; empty if it has none."""
     return load_shipped_plan(case.manoeuvre.default_plan_name) if case.manoeuvre.default_plan_name else {}
 
 
 def numbers_by_path(content: Content, charts: Mapping[str, Chart]) -> dict[str, float | str]:
-    """Return all numbers in a plan's content by path.
+    """Return all numbers in the content of a plan file, by their dotted path in it.
 
     Args:
         content: The table's content.
@@ -293,7 +292,7 @@ def numbers_by_path(content: Content, charts: Mapping[str, Chart]) -> dict[str, 
 def map_numbers(
     content: Any, charts: Mapping[str, Chart], change: Callable[[str, Any], Any], path: str = "", names: Names = ()
 ) -> Any:
-    """Replace each number and formula in a plan's content by the result of `change`, except those of `slopes`.
+    """Replace each number and formula in a plan's content by the result of a function `change`; skip the part `slopes`.
 
     Args:
         content: The table's content, or a branch of it.
@@ -364,12 +363,12 @@ def plan_parameter(case: Any, path: str) -> "dataclasses.Field[Any]":
 
 
 def load_shipped_plan(name: str) -> Content:
-    """Load a plan table that comes with the package, without the part that says how its numbers were found."""
+    """Load a plan file that comes with the package, without its part on how the numbers were found."""
     return split_searched(_load_shipped_file(name))[0]
 
 
 def default_searched_ranges(plan_name: str | None) -> Ranges:
-    """Return the ranges of sizes for which a manoeuvre's own plan was searched; empty without a file."""
+    """Return the ranges of robot and obstacle sizes for which a shipped plan was optimized; empty without a file."""
     return split_searched(_load_shipped_file(plan_name))[1] if plan_name else {}
 
 
@@ -379,7 +378,7 @@ def _load_shipped_file(name: str) -> Content:
 
 
 def split_searched(content: Content) -> tuple[Content, Ranges]:
-    """Split the content of a plan's file into the plan itself and the ranges of sizes for which it was searched.
+    """Split a plan file's content into the plan and the ranges of sizes for which its numbers were optimized.
 
     Args:
         content: The file's content, with those that it extends merged.
@@ -393,7 +392,7 @@ def split_searched(content: Content) -> tuple[Content, Ranges]:
 
 
 def merge_plan_with_bases(name: str, read: Callable[[str], str]) -> Content:
-    """Merge a plan file over the plan files that it extends.
+    """Load a plan file and merge it over the plan files that it names under `extends`.
 
     Args:
         name: The table's name.

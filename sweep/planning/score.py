@@ -62,7 +62,7 @@ MANOEUVRE = "manoeuvre"  # first word of paths outside the plan table
 
 
 class MarginAim(NamedTuple):
-    """Least value that a margin should have in stages that match a pattern."""
+    """Least value that an optimized plan's margin (such as reach) should have in stages whose names match a pattern."""
 
     margin: str
     stages: str  # pattern of their names
@@ -70,7 +70,7 @@ class MarginAim(NamedTuple):
 
 
 class PlanScore:
-    """Margins of a plan and their deficits, as functions of its free numbers and of draws of the belief.
+    """Margins of a plan, and how far they miss their aims, as functions of its free numbers and draws of the belief.
 
     The worst phases of every stage count. A plan on a ball is played by its tracker. Other plans are posed by inverse
     kinematics at evenly spaced phases of a stage. Their number is that of the last pattern in `moments` that matches
@@ -133,7 +133,7 @@ class PlanScore:
         self._deficit_gradients = jax.jit(jax.vmap(jax.value_and_grad(self._squared_deficit), (None, 0)))
 
     def margins(self, numbers: np.ndarray, draws: Case) -> dict[str, np.ndarray]:
-        """Return the least margins of each stage for each draw.
+        """Return the least value of each margin (such as reach) in each stage, for each draw of the belief.
 
         Args:
             numbers: Free numbers (free,); (draws or 1, free); or up to `width` sets of them (sets, draws or 1, free).
@@ -150,7 +150,7 @@ class PlanScore:
         return {key: value[:, :, 0].swapaxes(0, 1)[chosen] for key, value in found.items()}
 
     def worst_draw_score(self, margins: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return the score (...): the sum over stages and margins of the squared deficit in the worst draw.
+        """Return the score (...) to minimize: squared margin deficits in the worst draw, summed over all stages.
 
         Args:
             margins: Margins (..., draws, stages) by name.
@@ -158,7 +158,7 @@ class PlanScore:
         return np.sum(np.clip(np.nan_to_num(self.deficits(margins)).max(axis=-2), 0.0, MAX_DEFICIT) ** 2, axis=-1)
 
     def deficits(self, margins: Mapping[str, Any]) -> Any:
-        """Return by how much margins fall short of their aims.
+        """Return by how much margins (reach, clearance, ...) fall short of the values that they should have.
 
         Args:
             margins: Margins (..., stages) by name.
@@ -172,7 +172,7 @@ class PlanScore:
                                 for key, aim in aims.items() if np.isfinite(aim).any()], axis=-1)  # fmt: skip
 
     def cap_aims(self, numbers: np.ndarray, draws: Case) -> None:
-        """Lower all aims to the margins that given numbers reach in the first draw, less a tolerance.
+        """Lower the wanted value of each margin to what the plan with given numbers reaches in the first draw.
 
         Args:
             numbers: Free numbers (free,).
@@ -182,7 +182,7 @@ class PlanScore:
         self._caps = {key: value[0] - CAP_TOLERANCE * SCALES.get(key, DEFAULT_SCALE) for key, value in reached.items()}
 
     def deficit_gradients(self, numbers: np.ndarray, draws: Case) -> tuple[np.ndarray, np.ndarray]:
-        """Return for each draw the sum of the squared deficits of all margins, and its gradient by the plan's numbers.
+        """Return for each draw the sum of squared margin deficits, and its gradient with respect to the plan's numbers.
 
         Args:
             numbers: Free numbers (free,).
@@ -195,7 +195,7 @@ class PlanScore:
         return deficit, np.nan_to_num(gradient, posinf=0.0, neginf=0.0)
 
     def deficit_slopes(self, numbers: np.ndarray, draws: Case, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the deficits at the worst phases and their slopes by finite differences.
+        """Return the margin deficits at the worst phases, and their derivatives by the plan's numbers, by differences.
 
         Numbers that affect no stage in common are moved together.
 
@@ -234,7 +234,7 @@ class PlanScore:
         return jnp.sum(jnp.where(counts, deficit, 0.0) ** 2)
 
     def aim_values(self, margin: str) -> np.ndarray:
-        """Return the aim (stages,) for a margin in every stage: the last matching aim, or minus infinity."""
+        """Return the value that a margin should have in each stage, (stages,); minus infinity where none is set."""
         values = np.full(len(self.stages), -np.inf)
         for aim in self.aims:
             if aim.margin == margin:
@@ -283,7 +283,7 @@ class PlanScore:
 
 
 def independent_groups(touched: np.ndarray) -> np.ndarray:
-    """Assign n numbers to groups so that no two numbers of a group affect the same thing.
+    """Assign n numbers to groups so that numbers of one group affect disjoint sets of results.
 
     Args:
         touched: What each number affects (n, m), bool.
@@ -304,7 +304,7 @@ def _nan_to_worst(margin: Any) -> jax.Array:
 
 
 def local_minima(margin: jax.Array) -> jax.Array:
-    """Keep those margins (stages, phases) that are local minima over the phases.
+    """Set all margins (stages, phases) that are not local minima over the phases of a stage to infinity.
 
     All others become infinite.
     """
@@ -325,7 +325,7 @@ def _map_draws(function: Callable[..., Any], numbers: np.ndarray, draws: Case) -
 
 
 def with_plan_number(case: Case, path: str, value: Any, formulas: Mapping[str, float]) -> Case:
-    """Return a case in which one number of the plan is replaced.
+    """Return the case (all parameters of a rollout) with another value for one number of its plan.
 
     Args:
         case: The case.
@@ -340,7 +340,7 @@ def with_plan_number(case: Case, path: str, value: Any, formulas: Mapping[str, f
 
 
 def with_draw_axis(belief: Case, count: int) -> Case:
-    """Return a belief whose leaves all have a leading axis of `count` draws.
+    """Return a belief (controller's parameters) whose arrays all have a leading axis of `count` draws.
 
     Args:
         belief: The belief, whose leaves are numbers or arrays (count,).
@@ -350,7 +350,7 @@ def with_draw_axis(belief: Case, count: int) -> Case:
 
 
 def relative_changes(belief: Case, sizes: Mapping[str, float]) -> np.ndarray:
-    """Return the relative differences of each draw's sizes from reference sizes.
+    """Return the relative differences between the robot and obstacle sizes of each draw and reference sizes.
 
     Args:
         belief: The belief, with arrays (draws,) as varied leaves.
@@ -364,6 +364,6 @@ def relative_changes(belief: Case, sizes: Mapping[str, float]) -> np.ndarray:
 
 
 def least_margins(margins: Mapping[str, np.ndarray]) -> dict[str, float]:
-    """Return the least finite value of each margin over draws and stages."""
+    """Return the least finite value of each margin (reach, clearance, ...) over all draws and stages."""
     least = {key: float(np.min(value)) for key, value in margins.items()}
     return {key: value for key, value in least.items() if np.isfinite(value)}

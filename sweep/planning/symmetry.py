@@ -23,12 +23,12 @@ OTHER_SIDE = np.array([1, 0, 3, 2, 5, 4])  # index of each leg's partner on the 
 
 
 def last_stance(plan: Plan) -> Stance:
-    """Return the stance in which a plan ends, in the frames of its last stage."""
+    """Return the stance in which a plan ends, with feet and base in the coordinate frames of its last stage."""
     return Stance(plan.foothold[-1], plan.position[-1], multiply(exponential(plan.turn[-1]), plan.quat[-1]))
 
 
 def reverse_in_time(plan: Plan, free: FreeState | None = None) -> Plan:
-    """Reverse a plan in time: at time T - t it has the stance that `plan` has at t.
+    """Return the plan that passes through the stances of `plan` in reverse order of time.
 
     Step cycles, paces and paths are their own reversal except at their ends. So a stage goes back with the same swings,
     from its footholds to those of the stage before, in the frames of the latter: a foot goes to where it is to stand on
@@ -71,7 +71,7 @@ def reverse_in_time(plan: Plan, free: FreeState | None = None) -> Plan:
 
 
 def apply_direction(belief: Case, plan: Plan) -> Plan:
-    """Execute a plan in the direction that the case's plan file names: forward, back, or there and back.
+    """Return the plan forward, reversed in time, or forward and then back, as the case's plan file asks.
 
     Args:
         belief: the case.

@@ -17,12 +17,12 @@ from sweep.models.posture import Stance, joint_targets
 
 
 def are_plain_numbers(*parts: Any) -> bool:
-    """Return whether all leaves of some trees are plain floats, unlike those of traced or batched rollouts."""
+    """Return whether all leaves of some trees are plain floats, not traced or batched arrays of JAX."""
     return all(isinstance(x, float) for x in jax.tree.leaves(parts))
 
 
 def stances_at_stage_ends(plan: Plan, free: FreeState) -> dict[str, Stance]:
-    """Return the stances at the ends of a plan's stages, by a phrase that names the stage in messages.
+    """Return the stances (world axes) at the ends of a plan's stages, by a phrase for messages that names the stage.
 
     Args:
         plan: the plan.
@@ -33,7 +33,7 @@ def stances_at_stage_ends(plan: Plan, free: FreeState) -> dict[str, Stance]:
 
 
 def require_within_reach(belief: Case, stances: Callable[[], Mapping[str, Stance]], prefix: str = "") -> None:
-    """Raise an error unless all feet are within reach in given stances; only for plain numbers.
+    """Raise an error unless the legs reach all feet in the given stances; skip the check under JAX tracing.
 
     Args:
         belief: believed parameters.

@@ -18,7 +18,7 @@ FORMER_NAMES = {"own": "mujoco"}  # words for a system that older scenarios have
 
 
 class SystemKind(NamedTuple):
-    """How configurations of one kind of system are composed and read; an entry of `SYSTEMS`."""
+    """Entry of `SYSTEMS`: which configuration a kind of system (the hexapod, or a user's MuJoCo model) has."""
 
     config: str  # name of Hydra's primary configuration
     keys: tuple[str, ...]  # keys of its configuration, beside the common ones
@@ -26,7 +26,7 @@ class SystemKind(NamedTuple):
     open_keys: tuple[str, ...] = ()  # the keys whose parts only the system knows
 
     def build_nominal(self, values: Mapping[str, Any], kinds: ClassesByKind) -> SystemSetup:
-        """Build the system at nominal parameters from a plain configuration.
+        """Build the hexapod or the MuJoCo model, at nominal parameters, from a plain configuration.
 
         Args:
             values: the resolved configuration.
@@ -59,26 +59,26 @@ SYSTEMS = {
 
 
 def find_kind_by_name(name: str) -> SystemKind:
-    """Return the system that a scenario names, by its present or a former name. Raises `InputError`."""
+    """Return the kind of system (hexapod or MuJoCo model) that a scenario names, by its present or former name."""
     name = FORMER_NAMES.get(name, name)
     require_choice(name, SYSTEMS, f"system = {name}")
     return SYSTEMS[name]
 
 
 def find_kind_by_keys(values: Mapping[str, Any]) -> SystemKind:
-    """Return the system to which the keys of a plain configuration belong."""
+    """Return the kind of system (hexapod or MuJoCo model) to which the keys of a plain configuration belong."""
     return next((kind for kind in SYSTEMS.values() if kind.keys[0] in values), SYSTEMS[DEFAULT_SYSTEM])
 
 
 def find_formula(name: str) -> "Formula":
-    """Return a closed-form formula of the built-in robot by name. Raises `InputError`."""
+    """Return a closed-form formula of the built-in hexapod by name. Raises `InputError`."""
     from sweep import formulas  # slow to import
 
     return formulas.find_formula(name)
 
 
 def describe_columns() -> dict[str, str]:
-    """Return the meaning of each metric by column: of the built-in robot, and those that only user models have."""
+    """Return the meaning of each metric column, of the built-in robot and of users' MuJoCo models."""
     from sweep.core.metric import merge_columns
     from sweep.metrics import outcome
     from sweep.systems.mujoco_model import metrics, tracking

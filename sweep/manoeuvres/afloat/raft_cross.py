@@ -53,7 +53,8 @@ PUSH, WAIT, REACH, PULL, ASHORE = "push", "wait", "reach", "pull", "ashore"
 
 @parameters
 class RaftCross(Manoeuvre):
-    """Cross from one bank to the other on the raft, and walk on. Ratios are to the body length a_r."""
+    """Cross the water from one bank to the other on a raft, and walk on.
+    Ratios are to the body length a_r."""
 
     goal: ClassVar = ON_ITS_FEET
     kind: str = choice("raft_cross", "raft_cross")
@@ -87,7 +88,7 @@ class RaftCross(Manoeuvre):
     default_plan_name = "raft_cross"  # in a_r
 
     def plan(self, belief: Case) -> Plan:
-        """Return the plan of the whole crossing.
+        """Return the plan from the near bank over the raft to the far bank.
 
         Raises:
             InputError: the raft would capsize or sink under the robot, all plain numbers.
@@ -137,7 +138,7 @@ class RaftCross(Manoeuvre):
         return compile_plan(start, stages, self.patience, ease=self.ease, free=raft.start(), afloat=True)
 
     def move_context(self, belief: Case) -> MoveContext:
-        """Return the charts and directions to which moves in the plan file refer, between banks and raft.
+        """Return the coordinate systems and directions for moves in the plan file, between banks and raft.
 
         A moored raft stays at its reference: measured anew at every step, it would be let go step by step.
         """
@@ -183,7 +184,7 @@ class RaftCross(Manoeuvre):
         return replace(stage, duration=mass * speed / force, support=(to,))
 
     def push_motion(self, belief: Case) -> RaftCrossing:
-        """Return speed, turn and time of the raft after the push-off by (4.3) and (4.3.1)."""
+        """Return speed, turn and travel time of the raft after the robot's push-off: monograph (4.3) and (4.3.1)."""
         raft, load = belief.obstacle_of_type(Raft), total_mass(belief.robot)
         a, b, _ = raft.half_size
         mass, al2 = raft.mass + load, raft.drag * raft.width * raft.draught(load)
@@ -191,7 +192,7 @@ class RaftCross(Manoeuvre):
         return crossing(raft.water_width, raft.length, self.landing, mass, al2, inertia, inertia, self.offset)
 
     def init_memory(self, belief: Case, plan: Plan) -> Float[Array, " 3"]:
-        """Return the initial feedback state: the shift (m) of the landing place from the planned one, zero.
+        """Return the feedback state before the first tick: no shift (m) of the landing place yet.
 
         Its y component is the drift of the raft along the bank, its x component the gap at which the raft stopped
         early.
@@ -213,7 +214,7 @@ class RaftCross(Manoeuvre):
         return Guidance(stance, goal, memory)
 
     def drift_along_bank(self, plan: Plan, stage: Int[Array, ""], free: FreeState) -> Float[Array, ""]:
-        """Return how far (m) along the bank the base's target is from its planned landing place.
+        """Return how far (m) along the bank the base's target has shifted from the planned landing place.
 
         On a raft that lies turned, a base ahead of its middle is also beside it.
 
@@ -228,8 +229,7 @@ class RaftCross(Manoeuvre):
         return (free.position[0] + rotate(free.quat[0], place))[1] - self.offset
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
-        """Return whether the wait ends (the raft is at the bank, or still and close to it) or a pull ends (the raft
-        lies alongside)."""
+        """Return whether the stage ends: the raft has arrived (or rests near the bank), or lies alongside."""
         gaps = far_gaps(belief.obstacle_of_type(Raft), obs.free) + state.memory[0]
         waits, pulls = is_guided_by_law(plan, state.stage, WAIT), is_guided_by_law(plan, state.stage, PULL)
         still = jnp.abs(obs.free.velocity[0, 0]) < self.slow
@@ -246,7 +246,7 @@ def far_gaps(raft: Raft, free: FreeState) -> Float[Array, " 2"]:
 def make_chart_beyond_edge(
     edge: Array | float, middle: Array | float, aside: Array | float, up: Array | float, frame: int
 ) -> Chart:
-    """Return a chart (coordinates) of footholds beyond an edge.
+    """Return a chart, a coordinate system for footholds, for the ground beyond an edge.
 
     Args:
         edge: x of the edge (m).
@@ -263,7 +263,7 @@ def make_chart_beyond_edge(
 
 
 def tripod_moves(base: Number, count: int, stride: Number, chart: str, on: str) -> dict[str, Move]:
-    """Return moves in which the two tripods step in turn, starting and ending with all feet under their hips.
+    """Return moves of a tripod gait, which starts and ends with all feet under their hips.
 
     A foot lands half a stride ahead of its hip, the last ones under theirs.
 

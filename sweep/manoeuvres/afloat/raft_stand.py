@@ -22,7 +22,7 @@ DECK = (body_frame_number(0),) * 6
 
 @parameters
 class RaftStand(Manoeuvre):
-    """Walk by tripods from the raft's middle to a place beside it, and stand there.
+    """Walk by tripods from the raft's middle to another place on its deck, and stand there.
 
     Ratios are to the body length a_r.
     """
@@ -45,7 +45,7 @@ class RaftStand(Manoeuvre):
     needs = (Raft,)
 
     def plan(self, belief: Case) -> Plan:
-        """Return the plan: stand, walk, stand.
+        """Return the plan: stand on the raft, walk to the given place on its deck, stand.
 
         Raises:
             InputError: the raft would capsize or sink under the robot in its middle, all plain numbers.

@@ -37,7 +37,7 @@ def freeboard_and_draught(
 
 
 def require_floating(belief: Case, offset: tuple[float, float]) -> None:
-    """Raise an error if the raft capsizes or dips a corner under its robot; only for plain numbers.
+    """Raise an error if the raft capsizes or dips a corner under the robot; skip the check under JAX tracing.
 
     Args:
         belief: has raft and robot.

@@ -51,8 +51,7 @@ MAX_BASE_SPEED = 0.4  # m/s, of the base under the law `tick`
 
 
 class StandPose(NamedTuple):
-    """Position of the feet and base of a robot that stands on a ball, relative to the ball's centre; made by
-    `stand_pose`."""
+    """Feet and base position (m, from the ball's centre) of a robot that stands on a ball."""
 
     feet: Float[Array, "6 3"]  # m
     position: Float[Array, " 3"]  # m, base, with the mass centre over the ball's centre
@@ -60,7 +59,7 @@ class StandPose(NamedTuple):
 
 @parameters
 class OnBallManoeuvre(Manoeuvre):
-    """Base class of manoeuvres on top of a ball. Ratios are to the length a_r unless stated otherwise."""
+    """Base class of manoeuvres on top of a ball. Ratios are to the body length a_r unless stated otherwise."""
 
     circle_ratio: float = quantity(0.613, "R", above=0, at_most=1)  # d_1, radius of the circle of footholds on the ball
     # d_2, distance of the front and rear feet from the middle of that circle
@@ -73,7 +72,7 @@ class OnBallManoeuvre(Manoeuvre):
     needs = (Ball,)
 
     def make_ball_drive(self, **options: Any) -> "BallDrive":
-        """Return a `BallDrive` manoeuvre on the same footholds, with other parameters as given."""
+        """Return the manoeuvre that rolls the ball by walking on it, with the footholds of this manoeuvre."""
         return BallDrive(circle_ratio=self.circle_ratio, chord_ratio=self.chord_ratio,
                          height_ratio=self.height_ratio, deepening=self.deepening, **options)  # fmt: skip
 
@@ -86,7 +85,7 @@ def ball_move_context(
     supports: Mapping[str, tuple[SupportMotion, ...]],
     laws: tuple[str, ...] = (),
 ) -> MoveContext:
-    """Return the charts, frames and feedback laws to which moves on or beside balls refer.
+    """Return the coordinate systems, units and feedback laws for plan-file moves on or beside balls.
 
     Args:
         belief: has the obstacle.
@@ -102,7 +101,7 @@ def ball_move_context(
 
 
 def require_start_within_reach(belief: Case, start: Callable[[], Stance]) -> None:
-    """Raise an error unless all feet are within reach in the start stance; only for plain numbers.
+    """Raise an error unless the legs reach all feet in the start stance; skip the check under JAX tracing.
 
     Args:
         belief: believed parameters.
@@ -116,7 +115,7 @@ def require_start_within_reach(belief: Case, start: Callable[[], Stance]) -> Non
 
 
 def stand_pose(belief: Case, manoeuvre: OnBallManoeuvre) -> StandPose:
-    """Return the pose of a robot with its feet on their circle and a level base over the ball.
+    """Return the pose of a robot with its feet on their circle on the ball, and a level base over the ball's centre.
 
     Args:
         belief: has robot and ball.
@@ -139,7 +138,7 @@ def _balanced_base(robot: Robot, stance: Stance) -> Float[Array, " 3"]:
 
 
 def stance_on_ball(belief: Case, pose: StandPose) -> Stance:
-    """Return the stance in world axes for a pose on the ball, before anything moves.
+    """Return the stance (feet and base pose, world axes) for a pose on the ball at its start position.
 
     Args:
         belief: has the ball.
@@ -161,8 +160,7 @@ def standing_stages(pose: StandPose, times: Mapping[str, Array | float]) -> list
 
 
 class BalanceMemory(NamedTuple):
-    """State of the balancing feedback: a move and pulse planned at the start of a stage, or the current base and
-    momentum."""
+    """State of the law that balances on a ball: base motion and momentum, planned when a stage starts or measured."""
 
     place: Float[Array, " 3"]  # m, of the base over the ball's centre, at the start of the stage or now
     move: Float[Array, " 2"]  # m, of the base, shaped by delta
@@ -172,7 +170,8 @@ class BalanceMemory(NamedTuple):
 
 @parameters
 class BallBalance(OnBallManoeuvre):
-    """Stand on a ball, stop it and put the mass centre over it by moving the body. Ratios are to the length a_r.
+    """Stand on a ball, and stop it by moving the body so that the mass centre is over it.
+    Ratios are to the body length a_r.
 
     There are two laws. `manoeuvre` plans every `period` T from the measured state: base = start + D^-1 (-x) delta(tau)
     + D^-1 (K_S x g)/(m g^2 T) delta'(tau) with x = r_m - r_b, monograph (3.1.1)-(3.1.7). `tick` acts at every control
@@ -198,7 +197,7 @@ class BallBalance(OnBallManoeuvre):
     reach: float = quantity(0.12, "m", above=0)  # largest lean of that law
 
     def plan(self, belief: Case) -> Plan:
-        """Return a plan of stages of duration T in which all feet stand on the ball."""
+        """Return a plan of equal stages in which all feet stand on the ball."""
         pose = stand_pose(belief, self)
         off = jnp.stack([jnp.asarray(self.offset, float), jnp.asarray(self.offset_aside, float)])
         pose = pose._replace(position=pose.position.at[:2].add(off))
@@ -206,11 +205,11 @@ class BallBalance(OnBallManoeuvre):
         return compile_plan(stance_on_ball(belief, pose), stages, 0.0)
 
     def init_memory(self, belief: Case, plan: Plan) -> BalanceMemory:
-        """Return the initial feedback state, with the base where the plan starts."""
+        """Return the law's state before the first tick, with the base where the plan starts."""
         return BalanceMemory(plan.position[0], jnp.zeros(2), jnp.zeros(2), jnp.zeros(3))
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """Return the stance that moves the base by the balancing law that the plan names."""
+        """Return the stance in which the base is moved to stop the ball, by the balancing law that the plan names."""
         memory: BalanceMemory = state.memory
         if self.law == "manoeuvre":
             memory = jax.tree.map(
@@ -253,7 +252,7 @@ class BallBalance(OnBallManoeuvre):
 
 
 class BallPathPoint(NamedTuple):
-    """Position of the ball relative to its planned path, seen from above."""
+    """Position of the ball relative to its planned path: travel along the path, offset, direction, curvature."""
 
     along: Float[Array, " 2"]  # unit vector along the path
     progress: Float[Array, ""]  # m, along the path
@@ -262,7 +261,7 @@ class BallPathPoint(NamedTuple):
 
 
 class DriveMemory(NamedTuple):
-    """State of the ball-driving feedback: the plan of the current step, and what later steps need of it."""
+    """State of the law that rolls a ball: motion planned for the current step, and sums over earlier steps."""
 
     push: Float[Array, ""]  # m, k_v (v_d - v_e) and the integral
     integral: Float[Array, ""]  # m, sum over the steps so far of the integral term
@@ -275,7 +274,8 @@ class DriveMemory(NamedTuple):
 
 @parameters
 class BallDrive(OnBallManoeuvre):
-    """Walk on a ball by tripod so that it rolls along x at `speed`, and stop at `place`. Ratios are to the length a_r.
+    """Walk on a ball by tripod so that it rolls along x at `speed`, and stop it at `place`.
+    Ratios are to the body length a_r.
 
     In each step, the mass centre is pushed ahead by k_v (v_d - v_e) delta'(tau) (3.1.8), every `push_every` steps; kept
     over the ball's middle line by the fixed-point iteration (3.1.10); and moved sideways by -(k_1 y_n - k_2 y_(n-1)).
@@ -325,13 +325,13 @@ class BallDrive(OnBallManoeuvre):
         return jnp.abs(self.path_point_at(way).left_offset)
 
     def plan(self, belief: Case) -> Plan:
-        """Return the plan, in which both tripods step in turn."""
+        """Return the plan in which the two tripods step in turn on the ball."""
         pose = stand_pose(belief, self)
         return compile_plan(stance_on_ball(belief, pose), self.step_stages(pose, "step"), self.patience, ease=self.ease)
 
     def step_stages(self, pose: StandPose, law: str, first_share: float = 1.0) -> list[Stage]:
-        """Return plan stages in which tripods step in turn; standing feet in the ball's axes, swinging feet in its
-        Koenig frame.
+        """Return plan stages in which tripods step in turn on the ball.
+        Standing feet move with the ball; swinging feet move in axes that follow its centre and its Koenig frame.
 
         Args:
             pose: pose relative to the ball's centre.
@@ -355,12 +355,12 @@ class BallDrive(OnBallManoeuvre):
         return BallPathPoint(jnp.array([1.0, 0.0]), place[0], place[1], jnp.zeros_like(place[0]))
 
     def init_memory(self, belief: Case, plan: Plan) -> DriveMemory:
-        """Return the initial feedback state, before the first push."""
+        """Return the law's state before its first push on the ball."""
         zero = jnp.zeros(())
         return DriveMemory(zero, zero, jnp.array([1.0, 0.0]), zero, zero, zero, zero)
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """Return the stance on the step that was planned at the start of the stage."""
+        """Return the stance that drives the ball by the motion planned at the start of the step."""
         plan, stage, phase, free = ctx.plan, ctx.stage, ctx.phase, ctx.obs.free
         planned, landing = self._plan_step(belief, ctx, state)
         memory = jax.tree.map(partial(jnp.where, ctx.is_first_tick), planned, state.memory)
@@ -416,7 +416,7 @@ def direction_left_of_path(memory: DriveMemory) -> Float[Array, " 2"]:
 
 
 def lean_on_curve(belief: Case, height: Array | float) -> Array | float:
-    """Return the lateral lean (m) of the mass centre for a curve of 1/m at 1 m/s: (3.1.33).
+    """Return the lateral lean (m) of the mass centre per curvature (1/m) of the ball's path at 1 m/s: (3.1.33).
 
     Args:
         belief: has robot and ball.
@@ -429,7 +429,7 @@ def lean_on_curve(belief: Case, height: Array | float) -> Array | float:
 def compensate_base(
     robot: Robot, balanced: Float[Array, " 3"], feet: Float[Array, "6 3"], wanted: Float[Array, " 2"], lengthwise: bool
 ) -> Float[Array, " 3"]:
-    """Return the level base position (m) that puts the robot's mass centre at a given place in the plane: (3.1.10).
+    """Return the level base's position (m) that puts the robot's mass centre at a given horizontal place: (3.1.10).
 
     Args:
         robot: the robot, as believed.

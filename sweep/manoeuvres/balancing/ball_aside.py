@@ -32,7 +32,8 @@ MU_INTEGRAL = 1.5  # integral of mu over T, in units of T
 
 @parameters
 class BallAside(OnBallManoeuvre):
-    """Drive a ball to the left at `speed`, coast, and stop it, with all feet standing. Ratios are to the length a_r.
+    """Roll a ball to the left at `speed`, coast, and stop it, with all feet standing.
+    Ratios are to the body length a_r.
 
     In a stage of T, the mass centre moves sideways by k_l (v_d - v_b) mu(tau), (3.3.7), and back. k_l follows from the
     angular momentum of robot and ball about the ball's lowest point, so that one stage yields the missing speed. The
@@ -67,12 +68,11 @@ class BallAside(OnBallManoeuvre):
         return jnp.clip(wanted, self.circle_ratio, 1.0)
 
     def init_memory(self, belief: Case, plan: Plan) -> Float[Array, ""]:
-        """Return the initial feedback state: the sideways push k_l (v_d - v_b) of the stage (m), zero."""
+        """Return the law's state before the first tick: no sideways motion of the base (m) planned yet."""
         return jnp.zeros(())
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """Return the stance with the mass centre over the ball plus the lateral motion planned at the start of the
-        stage."""
+        """Return the stance that leans sideways over the ball by the motion planned at the start of the stage."""
         plan, stage, free = ctx.plan, ctx.stage, ctx.obs.free
         wanted_speed = jnp.where(stage == 0, self.speed, free.velocity[0, 1])  # while coasting, the measured speed
         wanted_speed = jnp.where(stage > 1, 0.0, wanted_speed)
@@ -86,7 +86,7 @@ class BallAside(OnBallManoeuvre):
 
 
 def lateral_gain(belief: Case, plan: Plan, period: Array | float) -> Array:
-    """Return k_l (s): a lateral lean of k_l (v_d - v_b) mu during T changes the ball's speed from v_b to v_d.
+    """Return the gain k_l (s): lateral lean of the mass centre per change of the ball's speed within one stage.
 
     The mass centre's height is taken as the base's.
 

@@ -27,7 +27,7 @@ from sweep.planning.validation import are_plain_numbers
 
 
 class PushSpeed(NamedTuple):
-    """Numbers in the part `push` of the plan file: speed of the push, which depends on masses as in (3.1.15)."""
+    """Speed with which the robot pushes off to climb a ball, read from the part `push` of the plan file: (3.1.15)."""
 
     speed: Number  # of the ball, over the manoeuvre's `push_speed`
 
@@ -76,14 +76,14 @@ class BallClimb(BesideBallManoeuvre):
         return start, stages
 
     def start_stance_and_state(self, belief: Case) -> tuple[Stance, StandingState]:
-        """Return the start stance, and its feet and base as a `StandingState`."""
+        """Return the start stance (world axes), and the footholds and base from which moves continue."""
         feet, position, standing = initial_stance("start", self.move_context(belief, self.deepening, (0.0, 0.0)))
         return Stance(feet, position, jnp.array(IDENTITY)), standing
 
     def move_context(
         self, belief: Case, deepening: Array | float, press: tuple[Array | float, Array | float]
     ) -> MoveContext:
-        """Return the charts and directions to which moves in the plan file refer.
+        """Return the coordinate systems and directions for moves in the plan file, beside and on the ball.
 
         Args:
             belief: believed parameters.
@@ -116,7 +116,7 @@ class BallClimb(BesideBallManoeuvre):
 
     @property
     def feedback_laws(self) -> Mapping[str, FeedbackLaw]:
-        """Feedback laws by name: of the ride up, and of the steps that stop the ball."""
+        """Feedback laws by name: the one that rides up on the ball, and the one that stops the ball."""
         return {
             RIDE: RideUpLaw(self.gain, self.least_rate, self.most_rate, self.braking, self.centring, self.lean),
             **super().feedback_laws,

@@ -37,7 +37,7 @@ from sweep.planning.moves import Move, make_standing, move_stages, read_moves, r
 
 
 class StandCircle(NamedTuple):
-    """Numbers in the part `perch` of the plan file: the circle of footholds, which depends on the ball's radius."""
+    """Radius of the circle of footholds on top of the ball, read from the part `perch` of the plan file."""
 
     circle: Number  # radius of the circle of footholds on top, over the manoeuvre's
 
@@ -67,7 +67,7 @@ def total_time(moves: Iterable[Move]) -> Array | float:
 
 
 def timed_moves(belief: Case, rate: Array | float) -> dict[str, Move]:
-    """Return the moves of the descent with shifted footholds and durations.
+    """Return the moves of the descent, with footholds and durations adapted to the rolling of the ball.
 
     At a constant rate down, the speed of the ball grows with the angle as 1 - cos.
 
@@ -114,7 +114,7 @@ class BallDescend(BesideBallManoeuvre):
     default_plan_name = "ball_descend"  # in R
 
     def stand_pose(self, belief: Case) -> StandPose:
-        """Return the pose on top of the ball, on the plan file's circle of footholds."""
+        """Return the robot's pose on top of the ball, with its feet on the circle that the plan file gives."""
         circle = self.circle_ratio * read_numbers(StandCircle, belief, "perch").circle
         return stand_pose(belief, replace(self, circle_ratio=circle))
 

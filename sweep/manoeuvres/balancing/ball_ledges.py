@@ -51,8 +51,7 @@ class WallDockingLaw(DriveUntilArrivalLaw):
     calm: Array | float  # m/s, largest speed of a ball that rests there
 
     def drive_law(self, belief: Case, free: FreeState) -> FeedbackLaw:
-        """Return the drive whose goal lies so far behind the wall that the ball reaches the wall at the docking
-        speed."""
+        """Return the law that rolls the ball to a goal behind the wall, to meet the wall at the docking speed."""
         return replace(self.drive, place=belief.obstacle_of_type(Ledges).far_wall_x + self.speed / self.drive.brake)
 
     def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
@@ -63,7 +62,7 @@ class WallDockingLaw(DriveUntilArrivalLaw):
 
 @parameters
 class BallLedges(OnBallManoeuvre, ManoeuvreInParts):
-    """Step from a ledge on to the ball, roll it to the other wall, and step off on to the ledge there."""
+    """Step from a ledge on to a ball, roll it to the opposite wall, and step off on to the ledge there."""
 
     goal: ClassVar = {
         **UPRIGHT, "docking_gap_max_m": 4e-3, "docking_speed_max_mps": 0.04, "past_centre_max_m": 0.02
@@ -107,24 +106,24 @@ class BallLedges(OnBallManoeuvre, ManoeuvreInParts):
         return compile_plan(stance, [*stages, *get_on, *rolling, *get_off, *last], self.patience, ease=self.ease)
 
     def start_stance_and_state(self, belief: Case) -> tuple[Stance, StandingState]:
-        """Return the start stance, and its feet and base as a `StandingState`, as far to the side as the ball."""
+        """Return the start stance, and the same feet and base as a `StandingState`, level with the ball sideways."""
         feet, position, standing = initial_stance("start", self.move_context(belief))
         aside = belief.obstacle_of_type(Ledges).start().position[0] * jnp.array([0.0, 1.0, 0.0])
         return Stance(feet + aside, position, jnp.asarray(LEVEL)), standing
 
     def move_context(self, belief: Case) -> MoveContext:
-        """Return the charts and directions to which moves in the plan file refer."""
+        """Return the coordinate systems and directions for moves in the plan file, on ledges and ball."""
         press, supports = (self.press, self.squeeze), {"free": (SupportMotion(),), "rests": (RESTS,)}
         return ball_move_context(belief, belief.robot.body_length, self.deepening, press, supports, (ON, OFF))
 
     @property
     def roll_drive(self) -> BallDrive:
-        """The drive law that rolls the ball."""
+        """The feedback law that rolls the ball to the other wall."""
         return self.make_ball_drive(
             steps=self.steps, speed=self.speed, step_time=self.step_time, speed_gain=self.speed_gain, brake=self.brake
         )
 
     @property
     def feedback_laws(self) -> Mapping[str, FeedbackLaw]:
-        """Feedback laws by name: of the steps that roll the ball."""
+        """Feedback laws by name: the one that rolls the ball until it rests at the far wall."""
         return {ROLLS: WallDockingLaw(self.roll_drive, self.docking, self.near, self.calm_speed)}

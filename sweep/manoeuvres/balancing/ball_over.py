@@ -27,7 +27,7 @@ DRIVE = "drive"
 
 @parameters
 class BallCrossing(BesideBallManoeuvre):
-    """Climb a free ball as `BallClimb`, roll it as `BallDrive`, descend as `BallDescend`, and walk away by tripod.
+    """Climb a free ball, roll it to a goal by walking on it, descend, and walk away by tripod.
 
     Ratios are to the body's length a_r.
     """
@@ -51,12 +51,12 @@ class BallCrossing(BesideBallManoeuvre):
 
     @property
     def climb(self) -> BallClimb:
-        """The manoeuvre that climbs the ball."""
+        """The manoeuvre `BallClimb` with this manoeuvre's parameters, which climbs the ball."""
         return BallClimb(**self._shared_parameters)
 
     @property
     def descent(self) -> BallDescend:
-        """The manoeuvre that descends from the ball."""
+        """The manoeuvre `BallDescend` with this manoeuvre's parameters, which descends from the ball."""
         return BallDescend(**self._shared_parameters)
 
     @property
@@ -65,12 +65,12 @@ class BallCrossing(BesideBallManoeuvre):
 
     @property
     def travel_drive(self) -> BallDrive:
-        """The drive that rolls the ball to its goal, with the gains of the stopping law."""
+        """The feedback law that rolls the ball to its goal."""
         return replace(self.stopping_drive, steps=self.drive, speed=self.speed, place=self.place, brake=self.brake)
 
     @property
     def feedback_laws(self) -> Mapping[str, FeedbackLaw]:
-        """Feedback laws by name: of riding up, stopping the ball, and rolling it."""
+        """Feedback laws by name: for riding up on the ball, stopping it, and rolling it."""
         return {**self.climb.feedback_laws, DRIVE: SettleBallLaw(self.travel_drive, self.calm_speed, self.near)}
 
     def plan(self, belief: Case) -> Plan:
@@ -88,7 +88,7 @@ class BallCrossing(BesideBallManoeuvre):
         return compile_plan(start, [*up, *calm, *along, *down, *away], self.patience, ease=self.ease)
 
     def leave_stages(self, belief: Case) -> list[Stage]:
-        """Return the plan stages of walking away by tripod, in the frame of a ball that is assumed to stay in place."""
+        """Return the plan stages that walk away by tripod, relative to a ball that is assumed to stay in place."""
         radius, length = belief.obstacle_of_type(Ball).radius, belief.robot.body_length
         height, spread = self.hips_ratio * length, self.spread_ratio * length
         step = GaitStep.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.turning)

@@ -25,7 +25,7 @@ LEAN_LAG, LEAN_MAX = 0.3, 0.03  # s and m, time constant and largest value of th
 
 
 class RideUpMemory(NamedTuple):
-    """State of the ride-up law: displacement of the base since the start of the ride."""
+    """State of the law that rides up on a ball: elevation and displacement of the base, time since the start."""
 
     elevation: Float[Array, ""]  # rad, of the tangent along which the base lies
     distance: Float[Array, ""]  # m, of the base's axis from the ball's centre
@@ -36,8 +36,7 @@ class RideUpMemory(NamedTuple):
 
 @dataclass(frozen=True)
 class RideUpLaw:
-    """Feedback law that rides up on a rolling ball at the rate at which the ball stops when the robot is on top:
-    (3.1.13)-(3.1.16).
+    """Feedback law that moves the base up on a rolling ball, so that the ball stops when the robot is on top: (3.1.16).
 
     If feet slip more on one side, the ball rolls sideways; the base leans the other way to slow that down, though not
     while the first feet step, which pass close to the next legs. Footholds of the plan are those of a base on top; feet
@@ -61,7 +60,7 @@ class RideUpLaw:
         return RideUpMemory(elevation, z * sin - x * cos, x * sin + z * cos, jnp.zeros(()), jnp.zeros(()))
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """Return the stance with the base moved up, and swinging feet at places relative to it."""
+        """Return the stance with the base moved up along the ball, and the swinging feet moved with the base."""
         ball, memory, plan, period = belief.obstacle_of_type(Ball), state.memory, ctx.plan, ctx.period
         distance, rate = memory.distance, self.climb_rate(belief, ctx.obs)
         share = jnp.minimum(1.0, memory.time / self.centring)
@@ -84,7 +83,7 @@ class RideUpLaw:
         return Guidance(Stance(feet, position, rotation_about_y(down)), goal, memory)
 
     def climb_rate(self, belief: Case, obs: Observation) -> Float[Array, ""]:
-        """Return the rate (3.1.16) (rad/s) from the measured mass centre; 0 beyond the top.
+        """Return the angular rate (rad/s) of the climb around the ball from the measured mass centre: (3.1.16).
 
         The rate of (3.1.16) grows up to the top: a robot that stopped there at once would tip over its front feet. So
         it is limited by `braking`.

@@ -57,7 +57,7 @@ class BallDockingLaw(DriveUntilArrivalLaw):
     speed: Array | float  # m/s, on arrival
 
     def drive_law(self, belief: Case, free: FreeState) -> FeedbackLaw:
-        """Return the drive whose goal lies so far behind the second ball that the balls meet at the docking speed."""
+        """Return the law that rolls the ball to a goal behind the second ball, to meet it at the docking speed."""
         place = free.position[0, 0] + ball_gap(belief.obstacle_of_type(TwoBalls), free) + self.speed / self.drive.brake
         return SingleBallLaw(replace(self.drive, place=place), 0)
 
@@ -67,15 +67,14 @@ class BallDockingLaw(DriveUntilArrivalLaw):
 
 
 class BallClosingMemory(NamedTuple):
-    """State of the law `BallClosingLaw` between control ticks."""
+    """State of the law that pulls the second ball to the first, between control ticks."""
 
     gap: Float[Array, ""]  # m, delta at the start of the stage
 
 
 @dataclass(frozen=True)
 class BallClosingLaw:
-    """Feedback law that follows the plan while the feet on the second ball pull it to the first and press it there:
-    after (3.5.2).
+    """Feedback law that pulls the second ball to the first with the feet on it, and presses it there: after (3.5.2).
 
     The book turns the feet by the motion over R_n; the ball rolls it over R.
     """
@@ -107,7 +106,7 @@ class BallClosingLaw:
                         BallClosingMemory(gap))  # fmt: skip
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
-        """Return whether a motion of the base has to end because a standing leg gets too straight."""
+        """Return whether the stage that moves the base must end because a standing leg is nearly straight."""
         robot, is_moving = belief.robot, ~jnp.any(plan.swing[state.stage])
         points = leg_points(robot, obs.angles)
         stretch = jnp.linalg.norm(points[:, -1] - points[:, -3], axis=-1)
@@ -172,8 +171,7 @@ class BallToBall(OnBallManoeuvre, ManoeuvreInParts):
         return compile_plan(stance_on_ball(belief, pose), stages, self.patience, ease=self.ease)
 
     def transfer_stages(self, belief: Case) -> list[Stage]:
-        """Return the plan stages from ball to ball, planned for touching balls at rest and corrected by the checks of
-        3.5.3."""
+        """Return the plan stages from ball to ball, for touching balls at rest, corrected to keep reach and support."""
         pose = stand_pose(belief, self)
         feet = dict(zip(LEGS, pose.feet, strict=True))
         supports = {"free": (SupportMotion(),) * 2, "together": (SupportMotion(TOGETHER),) * 2}
@@ -185,8 +183,7 @@ class BallToBall(OnBallManoeuvre, ManoeuvreInParts):
                        CheckLimits(self.spare, self.straight, self.clear))  # fmt: skip
 
     def validate(self, belief: Case) -> None:
-        """Raise an error unless the stages from ball to ball keep feet within reach and the robot supported; only for
-        plain numbers.
+        """Raise an error unless the stages from ball to ball keep reach and support; skip the check under JAX tracing.
 
         Raises:
             InputError: a foot is out of reach, or the mass centre is less than `spare` m inside its support.
@@ -211,7 +208,7 @@ class BallToBall(OnBallManoeuvre, ManoeuvreInParts):
 
     @property
     def roll_drive(self) -> BallDrive:
-        """The drive law that rolls the first ball."""
+        """The feedback law that rolls the first ball to the second."""
         return self.make_ball_drive(
             steps=self.steps, speed=self.speed, step_time=self.step_time, speed_gain=self.speed_gain
         )
@@ -223,7 +220,7 @@ class BallToBall(OnBallManoeuvre, ManoeuvreInParts):
 
     @property
     def feedback_laws(self) -> Mapping[str, FeedbackLaw]:
-        """Feedback laws by name: of rolling, of the transfer, and of the second ball."""
+        """Feedback laws by name: for rolling the first ball, changing balls, and stopping or leaving the second."""
         return {
             ROLLS: BallDockingLaw(self.roll_drive, self.docking),
             OVER: BallClosingLaw(self.closing, self.straight),

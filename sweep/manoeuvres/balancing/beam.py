@@ -35,7 +35,7 @@ FORWARD = (0.0, -1.0, 0.0)
 
 
 class BeamGeometry(NamedTuple):
-    """Geometry of robot and beam from which plan stages are made; made by `BeamWalk.beam_geometry`."""
+    """Positions of feet and base on a beam, from which plan stages are made."""
 
     robot: Robot
     ground: Array | float  # m, h_1, height of the ledges and the beam's top
@@ -45,7 +45,7 @@ class BeamGeometry(NamedTuple):
     step: GaitStep
 
     def base_at(self, y: Array | float) -> Float[Array, " 3"]:
-        """Return the position of the base (m) at coordinate y along the beam."""
+        """Return the planned position of the base (m) at coordinate `y` along the beam."""
         return stack_point(0.0, y, self.ground + self.clearance)
 
     def feet_at(self, y: Array | float, track: Array | float) -> Float[Array, "6 3"]:
@@ -56,7 +56,7 @@ class BeamGeometry(NamedTuple):
         )
 
     def swing_stage(self, name: str, legs: Sequence[int], feet: Float[Array, "6 3"], **more) -> Stage:
-        """Return a plan stage in which some legs step to their positions in `feet`."""
+        """Return a plan stage in which the given legs step to their positions in `feet`."""
         return Stage(name, self.step.time, values_by_leg(feet, legs), CYCLE_B, self.step.height, **more)
 
     def joint_angles(self, y: Array | float, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
@@ -77,7 +77,8 @@ class BeamGeometry(NamedTuple):
 
 @parameters
 class BeamWalk(Manoeuvre):
-    """Walk along the beam, on which the robot starts with its middle legs out. Ratios are to a_r."""
+    """Walk along a beam on the front and rear legs, and balance with the spread middle legs.
+    Ratios are to the body length a_r."""
 
     goal: ClassVar = ARRIVED
     kind: str = choice("beam_walk", "beam_walk")
@@ -101,8 +102,7 @@ class BeamWalk(Manoeuvre):
     needs = (Beam,)
 
     def plan(self, belief: Case) -> Plan:
-        """Return the plan: stand, `steps` swings with base motions between them, a last swing into the standing stance,
-        stand.
+        """Return the plan: stand, `steps` swings with base motions between them, step into the final stance, stand.
 
         At the end the middle legs are held where they are, since the law that levels them takes c_6/-c_5, 1.6 s in
         print.
@@ -117,7 +117,7 @@ class BeamWalk(Manoeuvre):
         return compile_plan(stance, stages, self.patience, self.flywheel_gains(belief), steered=True)
 
     def beam_geometry(self, belief: Case) -> BeamGeometry:
-        """Return the geometry of robot and beam, as believed."""
+        """Return the believed geometry of robot and beam, from which plan stages are made."""
         length = belief.robot.body_length
         step = GaitStep.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.rate)
         track = belief.obstacle_of_type(Beam).width - 2 * self.inset
@@ -126,16 +126,15 @@ class BeamWalk(Manoeuvre):
         )
 
     def flywheel_gains(self, belief: Case) -> FlywheelGains:
-        """Return the feedback gains of the flywheel (middle legs)."""
+        """Return the feedback gains of the middle legs, which balance the robot like a flywheel."""
         return FlywheelGains(self.c1, self.c2, self.c3, self.c4, self.c5, self.c6, belief.drive.back_emf)
 
     def select_flywheel_mode(self, wanted: int) -> int:
-        """Return the flywheel's mode: `wanted`, or `LOCKED` if the flywheel is off."""
+        """Return the mode of the balancing middle legs: `wanted`, or `LOCKED` if balancing is switched off."""
         return wanted if self.flywheel == "on" else LOCKED
 
     def diagonal_stages(self, site: BeamGeometry, start: Array | float, way: Array | float) -> list[Stage]:
-        """Return the plan stages of 2.6.2: diagonal pairs of legs swing in turn, and the base follows while four feet
-        stand.
+        """Return the plan stages on the beam: diagonal leg pairs swing in turn, and the base moves between (2.6.2).
 
         While a pair swings, the mass centre is over the line of the other two feet, which are beside their hips. While
         the base moves, the middle legs come to rest.
@@ -162,7 +161,7 @@ class BeamWalk(Manoeuvre):
 
 @parameters
 class BeamCross(BeamWalk):
-    """Cross from one ledge to the other: by tripod to the edge, 2.6.1, the beam, 2.6.3, and on by tripod.
+    """Cross a beam between two ledges: by tripod to the edge, along the beam with spread middle legs, on by tripod.
 
     `steps` swings divide the path on the narrow track evenly, from `margin` before the first edge to `margin` behind
     the second.
@@ -201,7 +200,7 @@ class BeamCross(BeamWalk):
         )
 
     def tripod_approach_stages(self, site: BeamGeometry, y: Array | float) -> tuple[Stance, list[Stage]]:
-        """Return the start stance and the stages by tripod to a base at y, with the feet beside the hips in the end."""
+        """Return the start stance, and tripod stages that bring the base to `y` and the feet beside the hips."""
         site, forward = self.tripod_geometry(site), jnp.array(FORWARD)
         step = site.step
         first = y + 2 * step.half_swing_length * self.approach
@@ -212,21 +211,21 @@ class BeamCross(BeamWalk):
         return start, stages + [site.swing_stage(f"place.{'-'.join(map(str, legs))}", legs, goal) for legs in TRIPOD]
 
     def tripod_geometry(self, site: BeamGeometry) -> BeamGeometry:
-        """Return the beam geometry with the step length of the tripod gait."""
+        """Return the beam geometry with the step length of the tripod gait on the ledges."""
         return site._replace(step=site.step._replace(half_length=self.walk_step_ratio * site.robot.body_length))
 
     def tripod_stages(self, site: BeamGeometry, start: Stance, number: int) -> list[Stage]:
-        """Return plan stages of regular tripod swings on the wide track."""
+        """Return plan stages in which the tripods step in turn, with the feet as far apart as on the ledges."""
         centres = site.feet_at(0.0, self.wide_track / 2) - site.base_at(0.0)
         return regular_steps(TRIPOD, site.step, start, centres, jnp.array(FORWARD), number, 0.0)
 
     def spread_stages(self, site: BeamGeometry, y: Array | float) -> list[Stage]:
-        """Return the plan stages of 2.6.1 in which the middle legs are lifted, moved outward and stretched."""
+        """Return the plan stages in which the middle legs are lifted, moved outward and stretched: monograph 2.6.1."""
         raised, out = self.intermediate_angles(site, y)
         return [*middle_leg_stages(site, "out", (raised, out)), Stage("out.3", site.step.time, posture=LEVEL_LEGS)]
 
     def leg_folding_stages(self, site: BeamGeometry, y: Array | float) -> list[Stage]:
-        """Return the plan stages of 2.6.3 in which the middle legs return to the narrow track on the same path."""
+        """Return the plan stages in which the stretched middle legs are put back on the beam: monograph 2.6.3."""
         raised, out = self.intermediate_angles(site, y)
         feet = site.feet_at(y, site.track / 2)
         angles = values_by_leg(site.joint_angles(y, feet), MIDDLE)
@@ -234,8 +233,7 @@ class BeamCross(BeamWalk):
         return [*middle_leg_stages(site, "down", (out, raised)), down]
 
     def intermediate_angles(self, site: BeamGeometry, y: Array | float) -> tuple[Array, Array]:
-        """Return joint angles (6, 3) of two intermediate postures: feet lifted from the narrow track, and legs half
-        spread."""
+        """Return two postures (6, 3) as joint angles (rad): feet lifted off the beam, and legs half spread."""
         lifted = site.feet_at(y, site.track / 2) + jnp.array([0.0, 0.0, 1.0]) * self.transfer_lift
         reach = site.robot.thigh + site.robot.shin
         return site.joint_angles(y, lifted), site.angles_beside_hips(0.5 * reach, 0.25 * reach)
@@ -244,7 +242,7 @@ class BeamCross(BeamWalk):
 def change_track_stages(
     site: BeamGeometry, y: Array | float, track: Array | float, lift: Array | float, name: str
 ) -> list[Stage]:
-    """Return the plan stages of 2.6.1 and 2.6.3 in which the tripods in turn step to another track width.
+    """Return the plan stages in which the tripods step to another lateral distance between left and right feet.
 
     The foot passes below its hip, where its place does not determine alpha; it goes there in joint space.
 
@@ -274,5 +272,5 @@ def middle_leg_stages(site: BeamGeometry, name: str, angles: Sequence[Array]) ->
 
 
 def values_by_leg(values: Float[Array, "6 3"], legs: Sequence[int]) -> dict[int, Array]:
-    """Return foot positions or joint angles of some legs, by leg number."""
+    """Select rows of foot positions or joint angles (6, 3) for the given legs, by leg number."""
     return {leg: values[leg - 1] for leg in legs}

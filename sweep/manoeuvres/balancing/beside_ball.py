@@ -17,8 +17,7 @@ CALM = "calm"  # law of steps that stop the ball
 
 @parameters
 class BesideBallManoeuvre(OnBallManoeuvre, ManoeuvreInParts):
-    """Base class of manoeuvres between the floor and a ball, with the grip of the feet on the ball and the law that
-    stops it.
+    """Base class of manoeuvres between floor and ball top: how feet grip the ball, and the law that stops it.
 
     These steps are tripods of `ball_drive` at v_d = 0, at most `calm` of them.
     """
@@ -38,11 +37,11 @@ class BesideBallManoeuvre(OnBallManoeuvre, ManoeuvreInParts):
 
     @property
     def stopping_drive(self) -> BallDrive:
-        """The drive that stops the ball."""
+        """The feedback law that stops the ball by steps on it."""
         return self.make_ball_drive(steps=self.calm, speed=0.0, step_time=self.step_time, speed_gain=self.speed_gain,
                            aside_gain=self.aside_gain, aside_gain_before=self.aside_gain_before)  # fmt: skip
 
     @property
     def feedback_laws(self) -> Mapping[str, FeedbackLaw]:
-        """Feedback laws by name: of the steps that stop the ball."""
+        """Feedback laws by name: the one that stops the ball."""
         return {CALM: SettleBallLaw(self.stopping_drive, self.calm_speed, math.inf)}

@@ -30,7 +30,7 @@ ROUNDS = 4  # of corrections; the mass centre follows 0.8 or more of a base's mo
 
 
 class CheckLimits(NamedTuple):
-    """Limits on reach and support that `correct_stages` enforces; made by `BallToBall`."""
+    """Limits on reach and support that the plan stages from one ball to another must keep."""
 
     spare: Array | float  # m, least distance of the mass centre from the ends of the support
     straight: Array | float  # longest leg over thigh and shin: the book's modified length of a leg
@@ -38,8 +38,7 @@ class CheckLimits(NamedTuple):
 
 
 class FeetOverStages(NamedTuple):
-    """Feet over S stages: whether each swings, since which stage it stands (-1: the start), and the centre of its
-    ball."""
+    """Feet over S stages: whether each swings, the stage since which it stands, and the centre of the ball under it."""
 
     swing: Bool[np.ndarray, "s 6"]
     since: Int[np.ndarray, "s 6"]
@@ -47,7 +46,7 @@ class FeetOverStages(NamedTuple):
 
 
 def correct_stages(belief: Case, start: Stance, stages: Sequence[Stage], limits: CheckLimits) -> list[Stage]:
-    """Correct plan stages so that they keep limits of reach and support, as far as the rules of monograph 3.5.3 can.
+    """Correct plan stages by the rules of monograph 3.5.3 so that they keep limits of reach and support where possible.
 
     Check 3: a foot that limits where the mass centre may be is set farther along the ball. Check 5: a base that moves
     on standing feet goes on until the mass centre is between the feet of the next support. Check 2: the base is
@@ -96,7 +95,7 @@ def mass_centre_margins(
 
 
 def next_support(swing: Bool[Array, "s 6"] | np.ndarray) -> Bool[Array, "s 6"]:
-    """Return the feet that support the robot as a stage ends.
+    """Return which feet (s, 6) support the robot as each stage ends.
 
     These are the feet that stand in it or, if no foot swings in it, those that stand in the next stage.
 

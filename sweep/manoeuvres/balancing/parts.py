@@ -21,19 +21,19 @@ from sweep.models.obstacles.surface import FreeState
 
 
 class ManoeuvreInParts(Manoeuvre, ABC):
-    """Base class of manoeuvres whose stages are each guided by the feedback law that they name, or by the plan."""
+    """Base class of manoeuvres whose stages each name the feedback law that guides them, or else follow the plan."""
 
     @property
     @abstractmethod
     def feedback_laws(self) -> Mapping[str, FeedbackLaw]:
-        """Feedback laws that guide stages, by the name that stages use."""
+        """Feedback laws that guide stages, by the name that stages of the plan use for them."""
 
     def init_memory(self, belief: Case, plan: Plan) -> dict[str, Any]:
-        """Return the initial states of all feedback laws, by name."""
+        """Return the states of all feedback laws before the first tick, by name."""
         return {name: part.init_memory(belief, plan) for name, part in self.feedback_laws.items()}
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """Return the guidance of the current stage's feedback law, or of the plan."""
+        """Return the stance to command: from the feedback law of the current stage, else from the plan."""
         plan, stage = ctx.plan, ctx.stage
         stance, goal = reference_stance(plan, stage, ctx.phase, state.feet, state.position), plan.foothold[stage]
         memory = dict(state.memory)
@@ -44,7 +44,7 @@ class ManoeuvreInParts(Manoeuvre, ABC):
         return Guidance(stance, goal, memory)
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
-        """Return whether the current stage's feedback law ends the stage."""
+        """Return whether the feedback law of the current stage ends that stage."""
         is_over = jnp.asarray(False)
         for name, part in self.feedback_laws.items():
             if part.ends_stages:
@@ -63,15 +63,15 @@ class DriveUntilArrivalLaw(ABC):
     ends_stages: ClassVar = True
 
     def init_memory(self, belief: Case, plan: Plan) -> DriveMemory:
-        """Return the initial state of the ball drive."""
+        """Return the state of the ball-rolling law before the first tick."""
         return self.drive.init_memory(belief, plan)
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """Return the guidance of the ball drive in one tick."""
+        """Return the stance in which the robot rolls the ball in this tick."""
         return self.drive_law(belief, ctx.obs.free).guide(belief, ctx, state)
 
     def drive_law(self, belief: Case, free: FreeState) -> FeedbackLaw:
-        """Return the ball drive, with the position at which the ball is to stop."""
+        """Return the law that rolls the ball, with the position at which the ball is to stop."""
         return self.drive
 
     @abstractmethod
@@ -79,7 +79,7 @@ class DriveUntilArrivalLaw(ABC):
         """Return whether the ball has arrived and needs no further step."""
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
-        """Return whether a step ends at its start because the ball has arrived."""
+        """Return whether the step that is about to start can be skipped because the ball has arrived."""
         has_just_begun = state.clock < 0.05 * plan.duration[state.stage]
         return has_just_begun & self.has_arrived(belief, obs.free)
 
@@ -106,11 +106,11 @@ class SingleBallLaw:
     ends_stages: ClassVar = True
 
     def init_memory(self, belief: Case, plan: Plan) -> Any:
-        """Return the initial state of the wrapped feedback law."""
+        """Return the wrapped law's state before the first tick."""
         return self.law.init_memory(belief, plan)
 
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
-        """Return the guidance of the wrapped law in one tick, as if there were no other ball."""
+        """Return the stance that the wrapped law commands in one tick as if there were no other ball."""
         return self.law.guide(belief, ctx._replace(obs=self._obs_of_ball(ctx.obs)), state)
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
@@ -118,7 +118,7 @@ class SingleBallLaw:
         return self.law.is_stage_over(belief, plan, state, self._obs_of_ball(obs))
 
     def retarget_stages(self, single_ball_stages: Sequence[Stage]) -> list[Stage]:
-        """Return plan stages that were made for a single ball, with their frames changed to this ball."""
+        """Return plan stages made for a single ball, with their coordinate frames changed to one ball of several."""
 
         def frame_on_ball(frame: int) -> int:
             return frame if frame == WORLD_FRAME else frame + koenig_frame_number(self.ball) - koenig_frame_number(0)

@@ -28,7 +28,8 @@ from sweep.planning.symmetry import apply_direction
 
 @parameters
 class CornerManoeuvre(PlannedForces):
-    """Base class of manoeuvres on the corner of a house. Ratios are to a_r.
+    """Base class of manoeuvres that climb the corner of a house.
+    Ratios are to the length a_r: thigh plus shin, times 1.23.
 
     Here a_r is `length_unit` where legs have to reach, and the body's length for the rise of a gallop and roof steps.
     The book measures everything by the body; legs shorter than the body suggests then do not reach their footholds.
@@ -58,7 +59,7 @@ class CornerManoeuvre(PlannedForces):
     default_plan_name = "corner"
 
     def move_context(self, belief: Case) -> MoveContext:
-        """Return the charts and directions to which moves in the plan file refer.
+        """Return the coordinate systems and directions for moves in the plan file, on floor and walls.
 
         The chart `edges` is for a base that pitches up before the corner.
         """
@@ -69,7 +70,7 @@ class CornerManoeuvre(PlannedForces):
         )
 
     def climb_stages(self, belief: Case) -> tuple[Stance, list[Stage], StandingState]:
-        """Return the start stance, the plan stages until the end of the gallop, and feet and base after them."""
+        """Return the start stance, the plan stages to the end of the gallop up the corner, and feet and base then."""
         context = self.move_context(belief)
         places, position, standing = initial_stance("arrive", context)
         climb, standing = part_stages("climb", context, standing, "")
@@ -84,7 +85,7 @@ class CornerManoeuvre(PlannedForces):
 
     @abstractmethod
     def route_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:
-        """Return the start stance and the plan stages of the whole route."""
+        """Return the start stance and the plan stages of the whole way, from the floor to the end."""
 
 
 @parameters

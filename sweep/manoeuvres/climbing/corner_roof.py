@@ -37,7 +37,7 @@ NARROWEST = 0.28  # a_r, least half distance between a pair's feet on the roof
 
 @parameters
 class CornerRoof(CornerManoeuvre):
-    """Climb a corner from the floor, and get over its edge on to the roof.
+    """Climb the corner of a house from the floor, and get over its edge on to the roof.
 
     For houses that reach above the front feet at the start of the gallop, which covers the rest in `cycles`.
     """
@@ -93,7 +93,7 @@ class CornerRoof(CornerManoeuvre):
 
 @parameters
 class CornerFull(CornerRoof):
-    """Climb a corner from the floor on to the roof, and walk on by some steps."""
+    """Climb the corner of a house from the floor on to the roof, and walk some steps on the roof."""
 
     kind: str = choice("corner_full", "corner_full")
     steps: int = count(10, at_least=0, at_most=100)  # number of swings by tripod on the roof
@@ -106,7 +106,7 @@ class CornerFull(CornerRoof):
         return start, [*stages, *self.roof_stages(belief)]
 
     def roof_stages(self, belief: Case) -> list[Stage]:
-        """Return the tripod swings after the base is over the edge.
+        """Return the plan stages of the tripod steps on the roof.
 
         Tracks narrow with the roof. In the first two swings the feet go beside their hips and the base rests: farther
         ahead, middle feet would meet the front legs.
@@ -131,7 +131,7 @@ class CornerFull(CornerRoof):
 
 
 def roof_foothold(belief: Case, leg: int, y: Array | float, aside: Array | float) -> Float[Array, " 3"]:
-    """Return a foothold beside a hip, moved back to where the roof is wide enough.
+    """Return a foothold (m) beside a hip on the roof, moved back to where the roof is wide enough.
 
     Args:
         belief: believed parameters.

@@ -72,7 +72,7 @@ class LadderClimb(PlannedForces):
         return self.with_feedforward(belief, self.plan_without_forces(belief))
 
     def plan_without_forces(self, belief: Case) -> Plan:
-        """Return the plan before planned foot forces are added."""
+        """Return the plan of the climb without planned foot forces, which `plan` adds."""
         ladder, robot = belief.obstacle_of_type(Ladder), belief.robot
         length, unit = robot.body_length, length_unit(robot)
         step = GaitStep.from_ratios(length, self.half_step_ratio, self.lift_ratio, self.rate)
@@ -95,7 +95,7 @@ class LadderClimb(PlannedForces):
         return apply_direction(belief, compile_plan(start, stages, self.patience, free=ladder.start()))
 
     def validate(self, belief: Case) -> None:
-        """Raise an error unless the ladder stands, has enough rungs and is within reach; only for plain numbers.
+        """Raise an error unless the ladder stands, has enough rungs and is in reach; skipped under JAX tracing.
 
         Raises:
             InputError: the ladder slides, lacks rungs or is out of reach.

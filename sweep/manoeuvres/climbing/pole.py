@@ -29,7 +29,8 @@ PRESS = "press"  # law of moves that press feet in, which are left out where pla
 
 @parameters
 class PoleManoeuvre(PlannedForces):
-    """Base class of manoeuvres on a pole: approach by tripod, climb by gallop. Ratios are to a_r.
+    """Base class of manoeuvres on a pole: walk to it by tripod, and climb it by gallop.
+    Ratios are to the length a_r: thigh plus shin, times 1.23.
 
     Feet press on the pole by footholds inside it, as printed, or by planned forces.
 
@@ -67,11 +68,11 @@ class PoleManoeuvre(PlannedForces):
     default_plan_name = "pole"
 
     def regular_step(self, belief: Case) -> GaitStep:
-        """Return step length and height of the approach, which swings on the pole share."""
+        """Return length, lift and duration of the swings in the approach; swings on the pole use them too."""
         return GaitStep.from_ratios(length_unit(belief.robot), self.half_step_ratio, self.lift_ratio, self.rate)
 
     def move_context(self, belief: Case) -> MoveContext:
-        """Return the charts and directions to which moves in the plan file refer.
+        """Return the coordinate systems and directions for moves in the plan file, on floor and pole.
 
         The chart `edges` is for a base that pitches up before the pole, `hang` for one that is upright beside it.
         """
@@ -81,7 +82,7 @@ class PoleManoeuvre(PlannedForces):
         return MoveContext(belief, unit, step.time, step.height, {"side": self.deepening}, charts, laws=(PRESS,))
 
     def climb_stages(self, belief: Case, gap: Array | float = 0.0) -> tuple[Stance, list[Stage], StandingState]:
-        """Return the start stance, the plan stages until the end of the gallop, and feet and base after them.
+        """Return the start stance, the plan stages to the end of the gallop up the pole, and feet and base then.
 
         Args:
             belief: believed parameters.
@@ -98,7 +99,7 @@ class PoleManoeuvre(PlannedForces):
         return start, [Stage("stand", STAND), *walk, *self.insert_load_transfer_rests([*climb, *gallop])], standing
 
     def insert_load_transfer_rests(self, stages: list[Stage]) -> list[Stage]:
-        """Return the plan stages with a rest before each, for load transfer, if forces are planned."""
+        """Return the plan stages, with rests in which load moves between feet if foot forces are planned."""
         return self.with_load_transfer(stages) if self.forces == "planned" else stages
 
 

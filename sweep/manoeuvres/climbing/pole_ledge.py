@@ -47,7 +47,7 @@ class PoleToLedge(PoleTop):
 
     @property
     def default_plan_name(self) -> str:
-        """Name of the default plan file, by whether the ledge is level with the top, above or below it."""
+        """Name of the default plan file for a ledge level with the pole's top, above it or below it."""
         return f"pole_ledge_{self.across}"
 
     def route_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:

@@ -66,7 +66,7 @@ class PoleRound(PoleManoeuvre):
 
 
 def half_turn_stages(step: GaitStep, start: Stance) -> list[Stage]:
-    """Return the plan stages of 2.3.6: pairs of feet go round the pole in turn by `STEP`, while the base turns evenly.
+    """Return the plan stages of a half turn round the pole: leg pairs step in turn while the base turns evenly.
 
     Printed for tripods. The three standing feet then press unevenly, since the base turns a little while only three
     hold it: feet that land 2 mm off carry nothing when it is their turn to hold, and the robot falls. The pairs of the

@@ -15,7 +15,7 @@ from sweep.planning.gaits import TRIPOD, GaitStep, initial_foot_offsets, regular
 
 
 class WalkingDirection(NamedTuple):
-    """Direction in which a robot faces and walks."""
+    """Direction of the base's x axis and of the walk, in world axes."""
 
     quat: tuple[float, float, float, float]  # base to world
     forward: tuple[float, float, float]
@@ -30,7 +30,7 @@ REST_TO_REST = (0.0, 0.0)  # rates of a base path that starts and ends at rest, 
 def foot_centres_facing(
     belief: Case, spread: Array | float, height: Array | float, facing: WalkingDirection = ALONG_Y
 ) -> Float[Array, "6 3"]:
-    """Return the feet relative to the base (m), world axes, at a fixed offset from their hips.
+    """Return the feet relative to the base (m, world axes), each at the same offset from its hip.
 
     Args:
         belief: has the robot.
@@ -50,7 +50,7 @@ def approach_stages(
     steps: int,
     gap: Array | float = 0.0,
 ) -> tuple[Stance, list[Stage]]:
-    """Return the start stance and the plan stages of an approach by tripod, whose last swings go to given footholds.
+    """Return the start stance and the plan stages of a tripod walk whose last swings end at given footholds.
 
     The base walks to a point `gap` (m) before its arrival, and covers the rest while the feet go to their places.
 

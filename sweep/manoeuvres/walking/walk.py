@@ -19,7 +19,8 @@ from sweep.planning.gaits import GAITS, MEANINGS, GaitStep, initial_foot_offsets
 
 @parameters
 class Walk(Manoeuvre):
-    """Walk straight along the world's x axis, uphill on a slope. Ratios are to the body length a_r."""
+    """Walk straight along the world's x axis, uphill on a slope.
+    Ratios are to the body length a_r."""
 
     goal: ClassVar = ON_ITS_FEET
     kind: str = choice("walk", "walk")
@@ -59,7 +60,7 @@ class Walk(Manoeuvre):
 
 @parameters
 class Stand(Manoeuvre):
-    """Stand still; the basis of scenarios with pushes."""
+    """Stand still, for studies of pushes from outside."""
 
     goal: ClassVar = ON_ITS_FEET
     kind: str = choice("stand", "stand")
@@ -77,7 +78,7 @@ class Stand(Manoeuvre):
 
 
 def level_stance(belief: Case, spread: Array | float, height: Array | float) -> tuple[Stance, Array]:
-    """Return a stance over the origin of level ground, and its feet relative to the base (m).
+    """Return a stance over the origin of level ground, and the foot positions relative to the base (m).
 
     Args:
         belief: has the robot.
@@ -90,7 +91,7 @@ def level_stance(belief: Case, spread: Array | float, height: Array | float) -> 
 
 
 def tilt_to_ground(plan: Plan, belief: Case) -> Plan:
-    """Return a plan for level ground rotated to the believed slope."""
+    """Return a plan that was made for level ground, rotated to the slope that the controller believes in."""
     return transform_plan(
         plan, exponential(jnp.array([0.0, -1.0, 0.0]) * belief.obstacle_of_type(Plane).slope), jnp.zeros(3)
     )

@@ -27,7 +27,7 @@ class WalkKerb(Walk):
     needs = (Kerb,)
 
     def plan(self, belief: Case) -> Plan:
-        """Return the plan: stand, `steps` swings, stand."""
+        """Return the plan: stand, make `steps` swings on to the kerb and on, stand."""
         length, height = belief.robot.body_length, belief.obstacle_of_type(Kerb).height
 
         def foothold(foot: Float[Array, " 3"]) -> Float[Array, " 3"]:

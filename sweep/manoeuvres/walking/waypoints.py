@@ -29,7 +29,7 @@ IDLE = 0.02  # s, phase of a cycle after arrival, without step or lift
 
 @parameters
 class Waypoints(Manoeuvre):
-    """Walk straight from one of `WAYPOINTS` to the next without turning: thesis, chapter 3.
+    """Walk straight from each point of `WAYPOINTS` to the next without turning: thesis, chapter 3.
 
     A cycle has two phases of one step each. In the first, one tripod swings from home to one step ahead in body axes
     while the other carries the body that step on; in the second, they exchange roles. So every cycle starts and ends
@@ -88,7 +88,7 @@ class Waypoints(Manoeuvre):
         return tilt_to_ground(compile_plan(start, stages, self.patience), belief)
 
     def home_position(self, robot: Robot) -> tuple[Array, Array]:
-        """Return a foot's home position (m): outward from its hip, and below it (H), phi = 0: thesis (11)."""
+        """Return a foot's neutral position (m): outward from its hip and at depth H below it: thesis (11)."""
         foot = thesis_fk(0.0, self.psi, self.gamma, robot.coxa, robot.thigh, robot.shin).foot
         return foot[0], -foot[2]
 

@@ -111,19 +111,19 @@ class Hexapod:
 
     @property
     def replay_plots(self) -> "dict[str, Callable[[Trace], Figure]]":
-        """Functions that plot a trace over time, by name."""
+        """Functions that plot a replayed rollout over time, by plot name."""
         from sweep.systems.hexapod.plots import PLOTS  # slow to import
 
         return PLOTS
 
     def state_values_by_column(self, trace: Trace) -> dict[str, np.ndarray]:
-        """Return the recordable time-series columns at every sample of a trace."""
+        """Return the time-series columns that `study.keep` can record, with their values at every sample of a trace."""
         names = "qpos", "qvel", "joint_torque", "foot_force"
         record = {name: np.moveaxis(getattr(trace, name), 0, -1) for name in names}
         return {name: np.asarray(column(record)) for name, column in available_columns(trace.world).items()}
 
     def model_xml(self, trace: Trace, settings: EngineSettings) -> str:
-        """Return the MuJoCo model of a trace's world as MJCF, to six digits.
+        """Return the MuJoCo model of a recorded rollout as MJCF, with numbers to six digits.
 
         The contact of the `mjx` engine is its own and not part of the model.
 
@@ -147,16 +147,16 @@ class Hexapod:
         return tuple(available_columns(self.case))
 
     def source_files(self) -> dict[str, Path]:
-        """Return no files, since the configuration defines the whole system."""
+        """Return an empty mapping: the hexapod needs no files beside its configuration."""
         return {}
 
     def settings_summary(self, settings: EngineSettings) -> dict[str, str]:
-        """Summarize manoeuvre, obstacle, engine, time step and precision for readers."""
+        """Return manoeuvre, obstacle, engine, time step and precision as texts for readers of a report, by name."""
         about = {"manoeuvre": self.case.manoeuvre.kind, "obstacle": self.case.obstacle.kind, "engine": settings.name}
         return {**about, "step": f"{1000 * settings.time_step_s:g} ms", "precision": settings.precision}
 
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:
-        """Return unit, bounds and default of a parameter: of the case, the engine settings, or a number of the plan."""
+        """Return unit, bounds and default of a parameter of robot, obstacle, manoeuvre, engine settings or plan."""
         side, path = split_side_prefix(column)
         if path.startswith("plan."):
             if side == "world":
@@ -169,7 +169,7 @@ class Hexapod:
         return found
 
     def nominal(self, column: str, settings: EngineSettings) -> Any:
-        """Return the nominal value of a parameter of the case, the engine settings or the plan."""
+        """Return the nominal value of a parameter of robot, obstacle, manoeuvre, engine settings or plan."""
         if split_side_prefix(column)[1].startswith("plan."):
             return self.parameter(column, settings).default
         return getattr(*self._owner(column, settings))
@@ -194,12 +194,12 @@ class Hexapod:
         return owner, last
 
     def iterate_physical_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
-        """Yield path and value of all fields of the case and all numbers of the plan."""
+        """Yield path and value of all parameters that affect results: of robot, obstacle, manoeuvre and plan."""
         yield from iterate_case_values(self.case, "")
         yield from _plan_inputs(self.case, plan_table.plan_content(self.case))
 
     def inputs_left_out_of_point_ids(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
-        """Yield default values of inputs that earlier versions lacked: control, load errors, numbers of the plan.
+        """Yield path and default of newer inputs; point ids omit these defaults so that ids of old rows stay valid.
 
         Point ids of earlier rows thus stay valid.
         """
@@ -219,7 +219,7 @@ class Hexapod:
         self._check_step(table, settings)
 
     def describe_unsearched_values(self, table: "pd.DataFrame", settings: EngineSettings) -> Iterator[str]:
-        """Yield a line for each believed size that leaves the range for which the plan was searched; see `System`."""
+        """Yield a warning for each believed size that leaves the range for which the plan's numbers were optimized."""
         for path, (low, high) in self.searched_ranges.items():
             values = _of_side(self, table, "belief", path, settings)
             if values.min() < low or values.max() > high:
@@ -271,15 +271,13 @@ class Hexapod:
             )
 
     def max_rollouts_for_cpu(self, settings: EngineSettings) -> int:
-        """Return one full tile of the fused compiler per core, the most rollouts that a CPU finishes sooner than a
-        GPU."""
+        """Return the most rollouts that a CPU finishes sooner than a GPU: one tile of the fused compiler per core."""
         from sweep.fused.llvm import TILE_LANES  # whose library what is wrong need not wait for
 
         return TILE_LANES * devices.count_cores() if settings.is_fusible else 0
 
     def explain_inactive_column(self, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
-        """Explain why a parameter may have no effect: only the world, only the belief or only another engine uses
-        it."""
+        """Explain why a parameter may have no effect: only the simulation, controller or another engine uses it."""
         side, path = split_side_prefix(column)
         if side == "world" and path.startswith(("manoeuvre.", "control.")):
             return "plans depend on the belief only"
@@ -290,7 +288,7 @@ class Hexapod:
         return "sensor errors are part of the world" if side == "belief" and path.startswith("noise.") else ""
 
     def find_random_rows(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
-        """Return which rows (n,) have sensor errors or calibration, which draw random numbers."""
+        """Return which rows (n,) draw random numbers: those with sensor errors or calibration."""
         found = np.zeros(len(rows), dtype=bool)
         for path, none in RANDOM_INPUTS.items():
             column = next((c for c in (f"world.{path}", path) if c in rows), None)
@@ -298,7 +296,7 @@ class Hexapod:
         return found
 
     def make_world_and_belief(self, values: ColumnValues) -> tuple[Case, Case]:
-        """Make the cases of world and belief from values by column."""
+        """Make the parameters of the simulated world and those that the controller believes, from values by column."""
         sides = split_world_and_belief(values).values()
         world, belief = (
             reduce(lambda case, one: replace_parameter(case, *one), own.items(), self.case) for own in sides
@@ -306,7 +304,7 @@ class Hexapod:
         return world, belief
 
     def allocate_delay_buffers(self, table: "pd.DataFrame") -> "Hexapod":
-        """Return this system with sensor buffers that hold the longest delay in a points table."""
+        """Return this system with sensor buffers long enough for the longest sensor delay in a study's points."""
 
         def of(name: str) -> Any:
             columns = [c for c in table.columns if split_side_prefix(c)[1] == f"noise.{name}"]
@@ -317,13 +315,13 @@ class Hexapod:
         return Hexapod(replace_parameter(self.case, "noise.delay_buffer", room))
 
     def make_engine(self, settings: EngineSettings, world: Case, belief: Case, limits: OutcomeThresholds) -> Engine:
-        """Compile one of the hexapod's engines."""
+        """Compile the engine of the hexapod that the settings name, for batches of one width."""
         from sweep import engines  # slow to import
 
         return engines.make_engine(settings, world, belief, limits)
 
     def parse_threshold(self, text: str) -> tuple[str, float]:
-        """Parse a threshold such as `slip_max_m<0.02`; maxima allow only `<`, minima only `>`."""
+        """Parse a threshold of a metric, such as `slip_max_m<0.02`; maxima allow only `<`, minima only `>`."""
         sign = next((s for s in ("<=", ">=", "<", ">", "=") if s in text), None)
         key, _, value = text.partition(sign or "=")
         try:
@@ -337,7 +335,7 @@ class Hexapod:
         return key.strip(), number
 
     def thresholds(self, limits: OutcomeThresholds) -> dict[str, float]:
-        """Return the threshold of each cause that has one, by metric."""
+        """Return the failure thresholds of metrics, by name of the metric."""
         return {cause.metric: outcome.threshold_value(cause, limits) for cause in outcome.CAUSES if cause.threshold}
 
 
@@ -365,7 +363,7 @@ def build_nominal(values: Mapping[str, Any], kinds: ClassesByKind) -> SystemSetu
 
 
 def plan_numbers(file: str, read: Callable[[str], str]) -> dict[str, float | str]:
-    """Return the numbers and formulas in a plan file by path.
+    """Return the numbers and formulas in a plan file, by their dotted path in it.
 
     Args:
         file: Name of the file.
@@ -380,7 +378,7 @@ def plan_numbers(file: str, read: Callable[[str], str]) -> dict[str, float | str
 
 
 def replace_parameter[T](owner: T, path: str, value: Any) -> T:
-    """Return a copy of nested dataclasses with one member replaced.
+    """Return a copy of nested dataclasses in which the member at a dotted path has another value.
 
     Args:
         owner: The dataclass.
@@ -465,7 +463,7 @@ def _plan_inputs(case: Case, plan: Content) -> Iterator[tuple[str, Any]]:
 
 
 def iterate_case_values(value: Any, path: str) -> Iterator[tuple[str, Any]]:
-    """Yield path and value of all members of a case, except numbers of its plan."""
+    """Yield dotted path and value of all parameters in nested dataclasses, except numbers of the plan."""
     if isinstance(value, PlanTable):
         return  # see `_plan_inputs`
     if dataclasses.is_dataclass(value):

@@ -47,8 +47,7 @@ BELIEF_GROUPS = "robot", "drive", "contact", "obstacle", "manoeuvre"  # groups w
 
 
 class ExportedController(NamedTuple):
-    """The members of an exported controller's module: `begin`, `policy`, `figures` and the tables of parameters and
-    metrics."""
+    """Functions and tables that the module of an exported controller contains, such as `begin` and `policy`."""
 
     begin: Callable[..., Any]
     policy: Callable[..., Any]
@@ -58,7 +57,7 @@ class ExportedController(NamedTuple):
 
 
 def check_exportable_to_mjcf(case: Case) -> None:
-    """Raise `InputError` if a case has features that the exported controller cannot have."""
+    """Raise `InputError` if a scenario has features that the exported controller cannot have."""
     plan = nominal_plan(case)
     kind = f"manoeuvre.kind = {case.manoeuvre.kind}"
     reasons = {
@@ -114,7 +113,7 @@ def _links(case: Case) -> list[str]:
 def make_exported_scenario(
     case: Case, settings: EngineSettings, limits: OutcomeThresholds, model: str, controller: str
 ) -> Any:
-    """Make the scenario of the exported model, with the robot's causes of failure as conditions.
+    """Make the scenario file of the exported model, with the hexapod's causes of failure as conditions.
 
     Args:
         case: The scenario's parameters.
@@ -150,7 +149,7 @@ def _conditions(case: Case, limits: OutcomeThresholds) -> Iterator[tuple[str, st
 
 
 def make_controller(case: Case, settings: EngineSettings, limits: OutcomeThresholds) -> ExportedController:
-    """Make the exported controller, which plans, tracks and measures as this package does.
+    """Make the exported controller, which plans, tracks and computes metrics like the built-in hexapod.
 
     The nominal world is simulated for the plan, with the belief's values where the belief has them.
 
@@ -207,7 +206,7 @@ controller = make_controller  # imported by projects that earlier versions expor
 
 
 def summarize_tick(case: Case, seen: Float[Array, " k"], period: float) -> TickReport:
-    """Compute the inputs of the metrics from the observation at the end of a control tick.
+    """Convert the observation at the end of a control tick to the tick report from which metrics are computed.
 
     Args:
         case: The scenario's parameters.

@@ -36,7 +36,7 @@ BOOK_TORQUE = 75.2  # N·m, unit of the monograph's figures 2.3.5 and 2.3.6: abo
 
 
 def plot_torques(trace: Trace) -> Figure:
-    """Plot the joint torques of each leg, N·m on the left and in units of `BOOK_TORQUE` on the right."""
+    """Plot the joint torques of each leg over time, in N·m and in the torque unit of the monograph's figures."""
     values = trace.joint_torque.reshape(-1, 6, 3)
     title = (
         f"Joint torque (largest magnitude of each tick); right: over {BOOK_TORQUE} N·m, the unit of the monograph's "
@@ -84,7 +84,7 @@ def plot_feet(trace: Trace) -> Figure:
 
 
 def plot_margin(trace: Trace) -> Figure:
-    """Plot the margin to the nearest limit that is watched in every tick, with a colour for each limit."""
+    """Plot the margin to the nearest failure threshold over time, with a colour for each threshold."""
     figure, axes = _column("Margin to the nearest limit, in units of it", "margin")
     for k, name in enumerate(dict.fromkeys(trace.margin_of)):
         nearest = np.where(trace.margin_of == name, trace.margin, np.nan)
@@ -142,7 +142,7 @@ def plot_ball(trace: Trace) -> Figure:
 
 
 def plot_flywheel(trace: Trace) -> Figure:
-    """Plot the middle legs as a flywheel: beta (rad) and its torques, and how far the robot deviates from upright.
+    """Plot angle (rad) and torques of the middle legs that balance the robot, and its deviation from upright.
 
     Compare monograph fig. 2.6.4.
     """
@@ -162,7 +162,7 @@ def plot_flywheel(trace: Trace) -> Figure:
 
 
 def plot_forces(trace: Trace) -> Figure:
-    """Plot normal forces of the right feet, the friction that all feet use, and the margin to the friction cone.
+    """Plot the normal forces of the right feet, the friction ratio of all feet, and the margin to the friction cone.
 
     Compare monograph fig. 2.4.14. Planned forces are dashed. Dotted lines are t* apart if the manoeuvre has a step
     cycle.

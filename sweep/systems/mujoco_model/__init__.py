@@ -86,7 +86,7 @@ CAUSE_MEANINGS = {cause.name: cause.sentence for cause in CAUSES}
 def judge(
     figures: Mapping[str, np.ndarray], limits: tuple[Condition, ...], stages: Sequence[str]
 ) -> dict[str, np.ndarray]:
-    """Label rows by built-in causes of all models first, then by the first condition of the scenario that holds."""
+    """Label rollouts with outcome and cause: built-in causes first, then the scenario's first condition that holds."""
     none = np.zeros(len(next(iter(figures.values()))), int)
     causes = [judge_cause(cause, figures, cause.limit(cause.default), none) for cause in CAUSES]
     causes += [condition.judge(figures) for condition in limits]
@@ -120,11 +120,11 @@ class MujocoModel(ModelSpec):
 
     @property
     def causes(self) -> dict[str, str]:
-        """Meaning of each cause: conditions of the scenario, and causes of invalidity."""
+        """Meaning of each cause of failure or invalidity, by name: the scenario's conditions and built-in causes."""
         return {one.cause: one.meaning for one in self.conditions} | CAUSE_MEANINGS
 
     def cause_meanings(self, limits: tuple[Condition, ...]) -> dict[str, str]:
-        """Return the meaning of each cause by name; conditions contain their thresholds."""
+        """Return the meaning of each cause of failure by name; conditions contain their thresholds."""
         return {one.cause: one.meaning for one in limits} | CAUSE_MEANINGS
 
     @property
@@ -134,11 +134,11 @@ class MujocoModel(ModelSpec):
         return (*MetricAccumulator(self).columns, *self.controller.metric_meanings, *tracked)
 
     def state_values_by_column(self, trace: Trace) -> dict[str, np.ndarray]:
-        """Return positions and velocities at every sample of a trace, by column."""
+        """Return positions and velocities of the model at every sample of a trace, by column."""
         return self.time_series_columns(trace.qpos, trace.qvel) | dict(trace.columns)
 
     def model_xml(self, trace: Trace, settings: EngineSettings) -> str:
-        """Raise `InputError`: the model is a file of the project already."""
+        """Raise `InputError`: there is nothing to export, as the user's model is a file already."""
         raise InputError("--model is not allowed: the model is a file of the project")
 
     @property
@@ -159,7 +159,7 @@ class MujocoModel(ModelSpec):
         return found
 
     def settings_summary(self, settings: EngineSettings) -> dict[str, str]:
-        """Summarize files, engine and time step for readers."""
+        """Return files, engine and time step as texts for readers of a report, by name."""
         listed = {path: ", ".join(names) for path, names in self.listed}
         model, controller = (listed.get(path, self.nominal_file_of_path(path)) for path in FILE_PATHS[:2])
         about = {"model": model, "controller": controller, "engine": settings.name}
@@ -204,7 +204,7 @@ class MujocoModel(ModelSpec):
         return getattr(settings, name) if root == "engine" else self.parameter(column, settings).default
 
     def iterate_physical_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
-        """Yield the physical inputs: a digest of the whole model, and the numbers of it that vary."""
+        """Yield the inputs that affect results: a digest of the model, settings of the rollout, and varied numbers."""
         about = self.config
         yield from self.controller_values
         yield "model", about.content
@@ -220,11 +220,11 @@ class MujocoModel(ModelSpec):
                 yield name, repr([tuple(one) for one in parts])
 
     def max_rollouts_for_cpu(self, settings: EngineSettings) -> int:
-        """Return 0: no number of rollouts is known below which a CPU is faster than a GPU."""
+        """Return 0, so that runs never move to the CPU because they have few rollouts."""
         return 0
 
     def inputs_left_out_of_point_ids(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
-        """Yield varied numbers of the model at nominal values, which point ids leave out."""
+        """Yield path and nominal value of inputs that point ids omit while they have these values."""
         yield from self._varied_numbers(paths)
         yield "noise.action_delay", 0.0
         yield from ((path, 0.0) for path in self.parameters if path.startswith(f"{initial_state.START}."))
@@ -234,12 +234,11 @@ class MujocoModel(ModelSpec):
                     if path.startswith("model.") and not terrain.is_terrain_path(path))  # fmt: skip
 
     def describe_unsearched_values(self, table: "pd.DataFrame", settings: EngineSettings) -> tuple[str, ...]:
-        """Return nothing: a user's controller does not say for which values it was made."""
+        """Return nothing: the ranges for which a user's controller was made are unknown."""
         return ()
 
     def check(self, table: "pd.DataFrame", settings: EngineSettings) -> None:
-        """Raise `InputError` for axes without effect, an invalid controller, or an engine that cannot simulate the
-        model."""
+        """Raise `InputError` for varied parameters without effect, an invalid controller, or an unsuitable engine."""
         columns = [c for c in map(str, table.columns) if "." in c and not c.startswith("axis.")]
         for column in columns:
             if column.startswith(("world.controller.", "world.schedule.")):
@@ -274,7 +273,7 @@ class MujocoModel(ModelSpec):
         self.make_engine(settings, *self.make_world_and_belief({}), limits=None).check_start()
 
     def require_parameters(self, columns: Iterable[str], settings: EngineSettings) -> None:
-        """Raise `InputError` if this system lacks a parameter that a study varies.
+        """Raise `InputError` if a study varies a parameter that this model or its controller does not have.
 
         Args:
             columns: Columns of the study.
@@ -288,7 +287,7 @@ class MujocoModel(ModelSpec):
                 raise InputError(f"{error} (with {chosen})") from None
 
     def with_files(self, values: ColumnValues) -> "MujocoModel":
-        """Return this system with other model or controller files. Raises `InputError` if they do not fit together.
+        """Return this system with other model or controller files. Raises `InputError` for a misfit.
 
         Args:
             values: ColumnValues by path; those of `FILE_PATHS` count.
@@ -323,16 +322,16 @@ class MujocoModel(ModelSpec):
             terrain.check_height_range(chosen, numbers)
 
     def find_random_rows(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
-        """Return which rows draw random numbers: those with sensor errors, and all rows if the controller may draw."""
+        """Return which rows draw random numbers, for sensor errors or possibly in the controller."""
         return np.ones(len(rows), dtype=bool)
 
     def make_world_and_belief(self, values: ColumnValues) -> tuple[SideValues, SideValues]:
-        """Make world and belief, each as values by parameter path, from values by column."""
+        """Make the values for the simulated world and those that the controller believes, from values by column."""
         world, belief = (SideValues(tuple(chosen.items())) for chosen in split_world_and_belief(values).values())
         return world, belief
 
     def allocate_delay_buffers(self, table: "pd.DataFrame") -> "MujocoModel":
-        """Return this system with an observation buffer for the longest delay in a points table."""
+        """Return this system with observation and command buffers long enough for the longest delays in a study."""
 
         def longest(path: str) -> int:
             varied = [table[c].max() for c in table.columns if split_side_prefix(c)[1] == path]
@@ -371,7 +370,7 @@ class MujocoModel(ModelSpec):
         return MjxModelEngine(system, settings)
 
     def run_id(self, settings: EngineSettings) -> str:
-        """Hash how a row is simulated; on C MuJoCo, batch width and number of threads do not count."""
+        """Hash everything that decides how a row is simulated; C MuJoCo's batch width and threads are left out."""
         settings = replace(settings, width=0) if settings.name == "native" else settings
         kernels = (f"warp-lang {metadata.version('warp-lang')}",) if settings.name == "warp" else ()
         return run_id.run_id(settings, _content_digest(self), *kernels)
@@ -384,11 +383,11 @@ class MujocoModel(ModelSpec):
         return key, condition
 
     def thresholds(self, limits: tuple[Condition, ...]) -> dict[str, float]:
-        """Return the thresholds of conditions that compare a metric with a number."""
+        """Return the thresholds of the scenario's conditions that compare a metric with a number, by metric."""
         return {one.threshold[0]: one.threshold[1] for one in limits if one.threshold}
 
     def explain_cause(self, row: Mapping[str, Any], limits: tuple[Condition, ...]) -> str:
-        """Return the condition that ended a rollout, with its metric."""
+        """Return the condition of the scenario that ended a rollout, with the metric's value."""
         for one in limits:
             if one.cause == row["cause"] and one.threshold:
                 return f"{one.meaning} ({one.threshold[0]} {float(row[one.threshold[0]]):.4g})"

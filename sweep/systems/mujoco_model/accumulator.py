@@ -23,7 +23,7 @@ class ModelMetricStates(NamedTuple):
 
 
 class MetricAccumulator:
-    """Accumulates the metrics of rollouts from the reports of an engine."""
+    """Computes the metrics of n rollouts from the engine's reports of its ticks."""
 
     def __init__(self, own: ModelSpec):
         self._parts = ModelPartIndices(own)
@@ -35,7 +35,7 @@ class MetricAccumulator:
         return tuple(column for metric in self._metrics for column in metric.columns)
 
     def start(self, qpos: Array, qvel: Array) -> ModelMetricStates:
-        """Return the metric states before the first tick.
+        """Return the states of all metrics before the first tick.
 
         Args:
             qpos: Positions (n, nq).
@@ -49,7 +49,7 @@ class MetricAccumulator:
     def update(
         self, running: ModelMetricStates, steps: Mapping[str, Array], limits: Mapping[str, Array], going: Array
     ) -> ModelMetricStates:
-        """Update all metrics with a report.
+        """Update the states of all metrics with an engine's report of a tick; rollouts that have ended stay unchanged.
 
         Args:
             running: States before it.

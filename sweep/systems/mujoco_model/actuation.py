@@ -11,7 +11,7 @@ JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_J
 
 
 class JointControl(NamedTuple):
-    """A proportional-derivative law for the actuators; commands of other actuators are their controls."""
+    """Proportional-derivative law from joint targets to controls; actuators without a law take commands as controls."""
 
     qpos: np.ndarray  # (nu,) index of the joint's position
     qvel: np.ndarray  # (nu,) index of the joint's velocity
@@ -22,7 +22,7 @@ class JointControl(NamedTuple):
     active: np.ndarray  # (nu,) whether the actuator has a law
 
     def controls(self, command: Any, qpos: Any, qvel: Any) -> Any:
-        """Return the controls of one physics step.
+        """Return the controls (n, nu) of the actuators for one physics step.
 
         Args:
             command: Joint targets (n, nu) in rad; of actuators without a law, controls.
@@ -39,7 +39,7 @@ class JointControl(NamedTuple):
 
 
 def find_actuators(error_prefix: str, model: mujoco.MjModel, joints: list[str]) -> np.ndarray:
-    """Return the actuator of each joint. Raises `InputError` where a joint has none, or several.
+    """Return the actuator that drives each joint. Raises `InputError` where a joint has none or several.
 
     Args:
         error_prefix: What messages begin with.
@@ -61,13 +61,13 @@ def find_actuators(error_prefix: str, model: mujoco.MjModel, joints: list[str]) 
 
 
 def actuated_joints(model: mujoco.MjModel) -> list[str]:
-    """Return the names of the joints that have actuators, in the order of these."""
+    """Return the names of the joints that have actuators, in the order of the actuators."""
     return [model.joint(j).name for k, j in zip(model.actuator_trntype, model.actuator_trnid[:, 0], strict=True)
             if int(k) in JOINT_TRANSMISSIONS]  # fmt: skip
 
 
 def is_servo(model: mujoco.MjModel) -> np.ndarray:
-    """Return which actuators (nu,) are position servos: their force is kp (command - length) and damping."""
+    """Return which actuators (nu,) are position servos, with force kp (command - length) minus damping."""
     gain, bias = model.actuator_gainprm[:, 0], model.actuator_biasprm[:, 1]
     return (model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)) & (gain == -bias) & (gain != 0)
 
@@ -75,7 +75,7 @@ def is_servo(model: mujoco.MjModel) -> np.ndarray:
 def make_joint_control(
     model: mujoco.MjModel, actuators: np.ndarray, stiffness: np.ndarray, damping: np.ndarray, limit: np.ndarray
 ) -> JointControl:
-    """Make the proportional-derivative law of some actuators, which are motors.
+    """Make the proportional-derivative law that turns joint targets into torques of the given motors.
 
     Args:
         model: The model.

@@ -26,7 +26,7 @@ UNLIMITED = {"stall_torque": 1e6, "no_load_speed": 1e9}  # N*m, rad/s of a motor
 
 
 class ActuatorNetwork(NamedTuple):
-    """A network that gives the torques of some actuators' joints."""
+    """A neural network that gives the torques of some joints from their recent position errors and velocities."""
 
     file: str
     digest: str
@@ -42,19 +42,19 @@ class ActuatorNetwork(NamedTuple):
     recurrent: tuple[tuple[str, str], ...]  # inputs of the network that receive outputs of the step before
 
     def load_evaluation(self) -> Callable[[Any, Any], tuple[Any, Any]]:
-        """Load the network as a function of one rollout, see `onnx_network.make_joint_network`. Raises `InputError`."""
+        """Load the network as a function from samples and memory of all joints to torques. Raises `InputError`."""
         network = _read(self.file)
         return onnx_network.make_joint_network(network, dict(self.recurrent), 2 * self.history)
 
     def begin(self, n: int) -> dict[str, Any]:
-        """Return the state of n rollouts before the first step: no errors, no velocities, and memory of zeros."""
+        """Return the state of n rollouts before the first step: no past errors or velocities, network memory zero."""
         length, joints = (self.history - 1) * self.spacing + 1, len(self.actuators)
         network = _read(self.file)
         memory = {name: np.zeros((n, joints, *network.input_shape(name))) for name, _ in self.recurrent}
         return {"errors": np.zeros((n, length, joints)), "velocities": np.zeros((n, length, joints)), "memory": memory}
 
     def push_sample(self, state: Mapping[str, Any], targets: Any, qpos: Any, qvel: Any) -> tuple[Any, dict[str, Any]]:
-        """Return the network's inputs (n, joints, k) in a step, and the next state without the network's memory.
+        """Return the network's inputs (n, joints, k) in a step, and the history of samples for the next step.
 
         Args:
             state: State of the rollouts.
@@ -83,7 +83,7 @@ def compute_torques(
     qpos: Any,
     qvel: Any,
 ) -> tuple[Any, list[dict[str, Any]]]:
-    """Compute the torques of all actuators with networks as a physics step begins.
+    """Compute the torques of all actuators that have networks, when a physics step begins.
 
     Args:
         networks: The networks.
@@ -110,7 +110,7 @@ def compute_torques(
 def parse_network(
     error_prefix: str, config: Mapping[str, Any], actuators: Sequence[int], model: mujoco.MjModel
 ) -> ActuatorNetwork:
-    """Parse the keys of a motor with a network. Raises `InputError`.
+    """Parse the configuration of a motor whose torque a network gives. Raises `InputError`.
 
     Args:
         error_prefix: The motor, such as `motor.legs`.

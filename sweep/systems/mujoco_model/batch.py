@@ -53,14 +53,13 @@ class BatchStart(NamedTuple):
         return self.energy()
 
     def get_model(self, slot: int) -> mujoco.MjModel:
-        """Return the model of a rollout, for drawing."""
+        """Return the MuJoCo model of the rollout at index `slot` of the batch, for drawing."""
         if self.ground is None:
             return self.batch.get_model(slot)
         return self.ground.make_picture_model(self.batch, slot, self.alone)
 
     def energy(self, qpos: Any = None, qvel: Any = None) -> np.ndarray:
-        """Return the mechanical energy (n,) in J of each model, in its present state or at given qpos (n, nq) and qvel
-        (n, nv).
+        """Return the mechanical energy (n,) in J of each rollout, in its present state or in a given one.
 
         All that follows from the state is worked out; where that is not finite, energy is NaN.
         """
@@ -87,7 +86,7 @@ class BatchStart(NamedTuple):
 def start_batch(
     spec: ModelSpec, settings: EngineSettings, world: SideValues, belief: SideValues, streams: np.ndarray
 ) -> BatchStart:
-    """Make the rollouts of a batch from world and belief. Raises `InputError` where MuJoCo cannot batch the model."""
+    """Make models and initial states of n rollouts. Raises `InputError` where MuJoCo cannot batch the model."""
     n, number = len(streams), np.dtype(settings.precision).type
     ground = spec.make_terrain(world, n)
     model = ground.with_heights(spec.compile_with_height_fields(len(ground.heights))) if ground else spec.model
@@ -129,7 +128,7 @@ def start_batch(
 
 
 def draw_uniform(streams: np.ndarray, purpose: int, count: int) -> np.ndarray:
-    """Draw uniform random numbers from 0 to 1 from the noise streams of rollouts.
+    """Draw uniform random numbers from 0 to 1 from the random-number stream of each rollout.
 
     Args:
         streams: Noise streams (n,).
@@ -146,8 +145,7 @@ def draw_uniform(streams: np.ndarray, purpose: int, count: int) -> np.ndarray:
 
 
 def controller_inputs(spec: ModelSpec, world: SideValues, belief: SideValues) -> dict[str, Any]:
-    """Return the inputs of the controllers: `belief` by name, and the observation errors `delay`, `white` and
-    `bias`."""
+    """Return what the controllers of a batch receive: believed parameters, observation errors, and schedule factors."""
     noise = simulated_numbers(spec, world)
     told = spec.believed_values({**belief.select_group("model"), **belief.select_group("controller")})
     found = {"belief": told, **{name: noise[f"noise.{name}"] for name in ("delay", "white", "bias")}}
@@ -160,18 +158,18 @@ def controller_inputs(spec: ModelSpec, world: SideValues, belief: SideValues) ->
 
 
 def simulated_numbers(spec: ModelSpec, world: SideValues) -> dict[str, Any]:
-    """Return the world's values of noise and push parameters, by path."""
+    """Return the values of noise and push parameters in the simulated world, by path."""
     groups = (world.select_group(name) for name in ("noise", *PHYSICAL))
     return {**dict(spec.controller_values), **{path: value for group in groups for path, value in group.items()}}
 
 
 def without_random_start(spec: ModelSpec) -> SideValues:
-    """Return the nominal world with no random part of the initial state."""
+    """Return the nominal parameter values with all random deviations of the initial state set to zero."""
     return SideValues(tuple((path, 0.0) for path in spec.parameters if path.startswith(f"{initial_state.RANDOM}.")))
 
 
 def count_ticks(spec: ModelSpec, duration: Any) -> np.ndarray:
-    """Return the number of control ticks (n,) of rollouts that last `duration` (n,) in s.
+    """Return the number of control ticks (n,) in rollouts that last `duration` (n,) seconds.
 
     Raises `InputError` where one is shorter than a tick.
     """
@@ -183,6 +181,6 @@ def count_ticks(spec: ModelSpec, duration: Any) -> np.ndarray:
 
 
 def varied_model_fields(begun: BatchStart) -> dict[str, np.ndarray]:
-    """Return the model fields in which the models of a batch differ from the nominal model, (n, ...) each."""
+    """Return the fields of MuJoCo models (n, ...) that differ from the nominal model in a batch, by name."""
     model, found = begun.batch.model, mujoco_versions.differing_model_fields(begun.batch, begun.written)
     return {name: rows for name, rows in sorted(found.items()) if (rows != fields.field_values(model, name)).any()}

@@ -39,7 +39,7 @@ class Disturbances(NamedTuple):
     motors: MotorLimits | None = None  # None where no joint has a motor
 
     def mean_push_forces(self, first: Any, count: int, step: float) -> Any:
-        """Return the mean force of each push over each physics step, so that impulses are exact.
+        """Return the mean force (N) of each push over each physics step, so that its impulse is exact.
 
         Args:
             first: Number of the first step: one, or one for each rollout (n,).
@@ -57,7 +57,7 @@ class Disturbances(NamedTuple):
 
 
 def parse_pushes(config: Any, bodies: list[str]) -> tuple[tuple[PushedBody, ...], dict[str, Any]]:
-    """Parse the pushes of a configuration; return them, and their numbers by path. Raises `InputError`.
+    """Return the pushes in a configuration, and their numeric parameters by path. Raises `InputError`.
 
     Args:
         config: For each name a mapping with `body` and keys of `PUSH_PARAMETERS`.
@@ -73,7 +73,7 @@ def parse_pushes(config: Any, bodies: list[str]) -> tuple[tuple[PushedBody, ...]
 
 
 def make_disturbances(pushes: tuple[PushedBody, ...], values: Mapping[str, Any], uniform: np.ndarray) -> Disturbances:
-    """Return the pushes and command delays that act on n rollouts.
+    """Make the pushes and command delays that act on n rollouts.
 
     Args:
         pushes: The pushes of the scenario.
@@ -94,7 +94,7 @@ def make_disturbances(pushes: tuple[PushedBody, ...], values: Mapping[str, Any],
 
 
 def delay_commands(past: Any, commands: Any, delay: Any) -> tuple[Any, Any]:
-    """Return the delayed commands of a tick's physics steps, and the latest commands for the next tick.
+    """Return the delayed commands for the physics steps of a tick, and the commands to keep for the next tick.
 
     Args:
         past: Commands (n, d, nu) of the d steps before, the last one last.

@@ -54,7 +54,7 @@ BatchResult = tuple[Metrics, list[TickSample], list[mujoco.MjModel]]  # of a bat
 
 @cache
 def print_note(line: str) -> None:
-    """Print a note for the user on the standard error before a study starts; each note appears once."""
+    """Print a note for the user to standard error before a study starts; each text is printed only once."""
     print(f"sweep: note: {line}", file=sys.stderr)
 
 
@@ -104,21 +104,20 @@ class ModelEngine:
             self._programs.check_start(begun)
 
     def evaluate_first_tick(self) -> FirstTick:
-        """Evaluate the controller at the nominal start. Raises `InputError` where it fails."""
+        """Return the controller's observations and commands at the nominal start. Raises `InputError`."""
         begun = self._start_nominal()
         with self._within():
             return self._programs.evaluate_first_tick(begun)
 
     def check_varied(self, paths: Iterable[str]) -> Iterable[str]:
-        """Raise `InputError` if the models of a batch cannot differ in the parameters `paths`; return cautions, one
-        line each."""
+        """Raise `InputError` if the engine cannot vary the parameters `paths` in a batch; return warning lines."""
         return ()
 
     def rollout_bytes(self) -> None:
-        """Return None: the memory of a rollout is not known."""
+        """Return None, since the memory that a rollout needs is unknown."""
 
     def find_unread_columns(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
-        """Return the parameter columns that no program reads; columns of the MuJoCo model always count as read."""
+        """Return the parameter columns that the controller does not read; MuJoCo model columns count as read."""
         with self._within():
             return find_unread_columns(self._programs.rollout_outputs, sides, ends)
 
@@ -137,13 +136,13 @@ class ModelEngine:
         return found, np.stack(samples) if samples else np.zeros((0, len(slots), len(watch.columns)))
 
     def trace(self, world: SideValues, belief: SideValues, streams: np.ndarray, slot: int) -> Trace:
-        """Simulate a batch and record a trace of the rollout at index `slot`."""
+        """Simulate a batch and record the states over time (trace) of the rollout at index `slot`."""
         return self.traces(world, belief, streams, 1, [slot])[0]
 
     def traces(
         self, world: SideValues, belief: SideValues, streams: np.ndarray, every: int, slots: Any = None
     ) -> list[Trace]:
-        """Simulate a batch and record traces of the rollouts at the indices `slots`, by default of all."""
+        """Simulate a batch and record states over time (traces) of the rollouts at indices `slots` (default: all)."""
         slots = range(len(streams)) if slots is None else slots
         found, frames, models = self._simulate_columns(world, belief, streams, slots, every)
         if not frames:  # all rollouts end before the first one
@@ -180,7 +179,7 @@ class ModelEngine:
 
 
 def joint_moment_arms(model: mujoco.MjModel) -> np.ndarray:
-    """Return the moment arms (nu, J) from actuator forces to the hinge and slide joints that they drive."""
+    """Return the moment arms (nu, J) that turn actuator forces into torques of hinge and slide joints."""
     joints, kind = hinge_and_slide_joints(model), int(mujoco.mjtTrn.mjTRN_JOINT)
     driven = (model.actuator_trnid[:, :1] == joints) & (model.actuator_trntype[:, None] == kind)
     return driven * model.actuator_gear[:, :1]
@@ -244,7 +243,7 @@ class NativeModelEngine(ModelEngine):
 
 
 class TickStepper:
-    """Simulates the control ticks of a batch on C MuJoCo, one after the other.
+    """Simulates a batch on C MuJoCo, one control tick after the other.
 
     Args:
         spec: The model with its controller.
@@ -332,7 +331,7 @@ class TickStepper:
 
 
 def find_unsolved_steps(model: mujoco.MjModel, steps: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return in which steps (n, s) the contact solver did not converge within its iterations.
+    """Return in which physics steps (n, s) the contact solver did not converge within its iteration limit.
 
     What PGS and noslip find balances whatever it is, so that of theirs the iterations alone are known.
     """

@@ -27,7 +27,7 @@ OPTION_KIND, PATH_ROOT = "option", "model"
 
 
 class NumberSpec(NamedTuple):
-    """Unit, bounds and component names of a MuJoCo model field that may vary."""
+    """Unit, bounds and component names of a MuJoCo model field that a study may vary."""
 
     unit: str = ""
     at_least: float = -np.inf
@@ -38,7 +38,7 @@ class NumberSpec(NamedTuple):
 
 
 class NumberLocation(NamedTuple):
-    """Index of a number in a flattened field of a MuJoCo model, and its sign there."""
+    """Where a number is in a MuJoCo model: field name, index in the flattened field, and sign."""
 
     field: str
     flat_index: int
@@ -46,7 +46,7 @@ class NumberLocation(NamedTuple):
 
 
 class NamedElement(NamedTuple):
-    """A model element, such as a geom, that a parameter path names, with the attribute in the path."""
+    """Element of a MuJoCo model, such as a geom, and its attribute, as a parameter path names them."""
 
     kind: str
     number: int  # as MuJoCo counts things of the kind; of options, which are one thing, 0
@@ -162,7 +162,7 @@ FIXED = {  # why no other field of `mujoco.batch` can vary, by patterns of their
 
 
 def parameter_field(model: mujoco.MjModel, path: str) -> Parameter:
-    """Return unit, bounds and nominal value of the parameter that a path names. Raises `InputError`."""
+    """Return unit, bounds and nominal value of the model parameter that a path names. Raises `InputError`."""
     if is_group(path):
         return _group_parameter(model, path)
     if (name := path.removeprefix(f"{PATH_ROOT}.{OPTION_KIND}.")) in ENUM_OPTIONS:
@@ -179,14 +179,14 @@ def parameter_field(model: mujoco.MjModel, path: str) -> Parameter:
 
 
 def select_quantities(model: mujoco.MjModel, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Select the values, by path, that may differ between the models of one batch."""
+    """Select the parameter values, by path, that may differ between models of one batch: quantities, not options."""
     return {
         path: value for path, value in values.items() if parameter_field(model, path).metadata["role"] == "quantity"
     }
 
 
 def with_scalar_options(model: mujoco.MjModel, values: Mapping[str, Any]) -> mujoco.MjModel:
-    """Return a copy of a model with other scalar simulation options, by path."""
+    """Return a copy of a model in which the given scalar simulation options have new values."""
     changed = copy(model)
     for path, value in values.items():
         name = path.removeprefix(f"{PATH_ROOT}.{OPTION_KIND}.")
@@ -228,7 +228,7 @@ def write_values(batch: Batch, values: Mapping[str, Any], source: Callable[[], m
 
 
 def check_variable(source: Callable[[], mujoco.MjSpec], model: mujoco.MjModel, path: str) -> None:
-    """Raise `InputError` if a path names a number that cannot vary in this model.
+    """Raise `InputError` if a parameter path names a number of the model that a study cannot vary.
 
     Args:
         source: Returns what the model was compiled from.
@@ -275,7 +275,7 @@ def _compile(batch: Batch, values: Mapping[str, Any], source: mujoco.MjSpec) -> 
 
 
 def find_element(model: mujoco.MjModel, path: str) -> NamedElement:
-    """Find the element that a path names. Raises `InputError` where there is none."""
+    """Find the model element, such as a geom, that a parameter path names. Raises `InputError` where there is none."""
     root, _, rest = path.partition(".")
     kind, _, rest = rest.partition(".")
     require_choice(
@@ -297,7 +297,7 @@ def find_element(model: mujoco.MjModel, path: str) -> NamedElement:
 
 
 def locate_numbers(model: mujoco.MjModel, path: str) -> tuple[NumberSpec, list[NumberLocation]]:
-    """Return the meaning of a path, and where its numbers are in the model. Raises `InputError`."""
+    """Return the meaning of a parameter path, and which numbers of the model it sets. Raises `InputError`."""
     if is_group(path):
         every = [locate_numbers(model, member) for member in group_members(model, path)]
         return every[0][0], [place for _, places in every for place in places]
@@ -359,12 +359,12 @@ def _strength(model: mujoco.MjModel, number: int) -> tuple[NumberSpec, list[Numb
 
 
 def is_group(path: str) -> bool:
-    """Return whether a path names several elements by a pattern, such as `model.actuator.*.kp`."""
+    """Return whether a parameter path names several elements by a pattern, such as `model.actuator.*.kp`."""
     return path.startswith(f"{PATH_ROOT}.") and any(sign in path for sign in "*?[{")
 
 
 def group_members(model: mujoco.MjModel, path: str) -> list[str]:
-    """Return the paths that a pattern stands for, in the order of the model. Raises `InputError` if there are none.
+    """Return the parameter paths that a pattern matches, in the model's order. Raises `InputError` if there are none.
 
     Args:
         model: The model.
@@ -419,10 +419,10 @@ def _expand_groups(model: mujoco.MjModel, values: Mapping[str, Any]) -> dict[str
 
 
 def locate_field(model: Any, field: str) -> tuple[Any, str]:
-    """Return the object, model or options, that has a field of `mujoco.batch`, and the name of the field there."""
+    """Return the object (model or its options) that holds a field of `mujoco.batch`, and the field's name there."""
     return (model.opt, field[4:]) if field.startswith("opt.") else (model, field)
 
 
 def field_values(model: mujoco.MjModel, field: str) -> np.ndarray:
-    """Return a field of a model by its name in `mujoco.batch`."""
+    """Return the values of a model's field, named as in `mujoco.batch`."""
     return np.asarray(getattr(*locate_field(model, field)))

@@ -48,7 +48,7 @@ _READ: dict[str, tuple[Path, str]] = {}  # of modules by name: the project that 
 
 
 class LoadedController(NamedTuple):
-    """A controller that was loaded: the members of a user's module, or those made from a network."""
+    """Functions and tables of a loaded controller: from a user's Python module, or made from a neural network."""
 
     policy: Callable[..., Any]
     files: tuple[Path, ...]  # its source, what lies beside it in a package, and its `FILES`
@@ -66,8 +66,7 @@ class LoadedController(NamedTuple):
 
     @property
     def joint_control(self) -> JointControl | None:
-        """The joint control law that turns commands into controls at every physics step; None where commands are
-        controls."""
+        """Law that turns joint targets into controls at every physics step; None if commands are controls."""
         return self.fitted_policy.joint_control if self.fitted_policy else None
 
 
@@ -89,7 +88,7 @@ def load_model(mjcf: str, ground: TerrainConfig | None = None, fields: int = 1) 
 
 
 def require_file(key: str, name: str, suffix: str, group: str = "model") -> Path:
-    """Return the file that a key names. Raises `InputError` where there is none, or in a folder of results.
+    """Return the file that a configuration key names. Raises `InputError` if it does not exist or is a study's result.
 
     Args:
         key: The key.
@@ -169,7 +168,7 @@ def _compiled(file: Path, changed: int, ground: TerrainConfig | None, fields: in
 
 
 def load_spec(mjcf: str, ground: TerrainConfig | None = None, fields: int = 1) -> mujoco.MjSpec:
-    """Load the source of a model. Raises `InputError` where the model is a compiled file.
+    """Load the editable source (`MjSpec`) of a model. Raises `InputError` where the model is a compiled file.
 
     Args:
         mjcf: The model's file, from the project's folder.
@@ -217,12 +216,12 @@ def list_files(mjcf: str) -> list[Path]:
 
 
 def digest_model(compiled: mujoco.MjModel) -> str:
-    """Hash all numbers of a compiled model, meshes included."""
+    """Return a hash of all numbers of a compiled model, meshes included."""
     return hashlib.blake2b(model_bytes(compiled), digest_size=8).hexdigest()
 
 
 def read_terrain_image(name: str) -> np.ndarray:
-    """Read the brightness (., .) of the pixels, from 0 to 1, of the PNG file of a terrain. Raises `InputError`."""
+    """Read the brightness (rows, columns) of the pixels, 0 to 1, from a terrain's PNG file. Raises `InputError`."""
     from matplotlib.image import imread  # slow to import
 
     file = require_file("terrain.file", name, ".png")
@@ -239,7 +238,7 @@ def read_terrain_image(name: str) -> np.ndarray:
 
 
 def digest_contents(listed: Sequence[Path]) -> str:
-    """Hash the contents of files."""
+    """Return a hash of the contents of the given files."""
     return _digest(listed)
 
 
@@ -285,7 +284,7 @@ def load_controller(name: str, model: mujoco.MjModel, keyframe: int, period: flo
 
 
 def controller_files(name: str) -> list[Path]:
-    """List the files of a controller, whatever model it is for. Raises `InputError`."""
+    """List the files that a controller consists of, whatever model it drives. Raises `InputError`."""
     if not name.endswith(NETWORK_SUFFIXES):
         module = _module(name, name.partition(":")[0])
         named = [str(file) for file in getattr(module, "FILES", ())]
@@ -300,7 +299,7 @@ def controller_files(name: str) -> list[Path]:
 
 
 def require_inside_project(path: str, name: str) -> None:
-    """Raise `InputError` where a value of an axis leaves the project.
+    """Raise `InputError` where a varied file name points outside the project's folder.
 
     Args:
         path: Path of the parameter, such as `model.mjcf`.
@@ -334,7 +333,7 @@ def _load_network(name: str, model: mujoco.MjModel, keyframe: int, period: float
 
 
 def read_policy_spec(name: str) -> policy_spec.PolicySpec | None:
-    """Read the specification beside a network, by the controller's name; None without one. Raises `InputError`."""
+    """Read the specification file of a neural-network controller, by its name; None for other controllers."""
     if not name.endswith(NETWORK_SUFFIXES):
         return None
     told = learned_policy.spec_path(file := _require_network(name))
@@ -346,7 +345,7 @@ def _require_network(name: str) -> Path:
 
 
 def read_network(name: str, file: Path) -> Network:
-    """Read a network of ONNX or PyTorch. Raises `InputError`.
+    """Read a neural network from an ONNX or PyTorch file. Raises `InputError`.
 
     Args:
         name: The name that messages give.
@@ -357,7 +356,7 @@ def read_network(name: str, file: Path) -> Network:
 
 
 def list_network_files(file: Path) -> list[Path]:
-    """List the file of a network and those of its weights."""
+    """List the file of a neural network and the files of its weights."""
     return [file] if file.name.endswith(TORCH_SUFFIXES) else onnx_network.network_files(file)
 
 
@@ -406,8 +405,7 @@ def _module(controller: str, name: str) -> ModuleType:
 
 
 def code_folder(source: Path, file_names: Sequence[str]) -> Path:
-    """Return the folder to which relative paths of a module refer: its own if its `FILES` are there, else the
-    project's."""
+    """Return the folder for relative paths in a user's module: its own if its `FILES` are there, else the project's."""
     beside = source.resolve().parent
     return (
         beside if file_names and all((beside / file).is_file() for file in file_names) else project_folder().resolve()

@@ -5,7 +5,7 @@ import numpy as np
 
 
 def may_touch(model: mujoco.MjModel, one: int | np.ndarray, other: int | np.ndarray) -> np.ndarray:
-    """Return whether `contype` and `conaffinity` let two geoms touch.
+    """Return whether MuJoCo's filters `contype` and `conaffinity` let two geoms touch.
 
     Args:
         model: The model.
@@ -17,7 +17,7 @@ def may_touch(model: mujoco.MjModel, one: int | np.ndarray, other: int | np.ndar
 
 
 def find_geom_pairs(model: mujoco.MjModel) -> np.ndarray:
-    """Return the pairs (k, 2) of geoms that may touch: by type, of bodies that are neither welded nor excluded.
+    """Return the pairs (k, 2) of geoms that may touch, of bodies that are neither welded together nor excluded.
 
     Explicit pairs of the model are left out.
     """

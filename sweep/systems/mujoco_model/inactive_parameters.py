@@ -15,7 +15,7 @@ SITE_TYPE, FREE_JOINT = mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtJoint.mjJNT_FREE
 
 
 def explain_inactive(spec: ModelSpec, column: str, settings: EngineSettings, ends: tuple[Any, Any]) -> str:
-    """Explain why a parameter column cannot change any result, if the model proves it."""
+    """Explain why varying a parameter cannot change any result, if the MuJoCo model proves it."""
     side, path = split_side_prefix(column)
     root = path.partition(".")[0]
     if root == "noise":

@@ -28,14 +28,14 @@ START, RANDOM, JOINT = "start", "start.random", "start.joint"
 
 
 class StartOffsets(NamedTuple):
-    """Offsets that are added to the start states of n rollouts."""
+    """Offsets that are added to the initial positions and velocities of n rollouts."""
 
     base: np.ndarray  # (n, 12) in the order of `BASE_UNITS`
     positions: np.ndarray  # (n, j) of the hinges and slides, rad or m
     velocities: np.ndarray  # (n, j) rad/s or m/s
 
     def add_to_states(self, model: mujoco.MjModel, base: int | None, limits: np.ndarray, qpos: Any, qvel: Any) -> None:
-        """Add the offsets to states in place; joints with limits stay within them.
+        """Add the offsets to the initial states in place; joints with limits stay within them.
 
         Args:
             model: The model.
@@ -84,7 +84,7 @@ def _multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def start_parameters(model: mujoco.MjModel, has_base: bool) -> dict[str, Parameter]:
-    """Return the parameters of the initial state with default values, by path.
+    """Return the parameters of the initial state, such as offsets of joints, with default values, by path.
 
     Args:
         model: The model.
@@ -99,12 +99,12 @@ def start_parameters(model: mujoco.MjModel, has_base: bool) -> dict[str, Paramet
 
 
 def count_random_numbers(model: mujoco.MjModel) -> int:
-    """Count the random numbers that the initial state of a rollout takes."""
+    """Return how many random numbers the initial state of one rollout needs."""
     return len(BASE_UNITS) + 2 * len(hinge_and_slide_joints(model))
 
 
 def make_offsets(model: mujoco.MjModel, values: Mapping[str, Any], luck: np.ndarray) -> StartOffsets:
-    """Return the start-state offsets of n rollouts.
+    """Return the offsets that n rollouts add to their initial positions and velocities.
 
     Args:
         model: The model.

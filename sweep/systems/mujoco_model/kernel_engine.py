@@ -62,7 +62,7 @@ Rows = Any  # an array of one rollout, or of a batch with a leading axis
 
 
 class Inputs(NamedTuple):
-    """Inputs of one rollout to the kernel, constant over all ticks."""
+    """Inputs of one rollout to the compiled kernel that stay constant over all ticks."""
 
     policy: Any  # inputs of the controller; () where it is called between ticks
     rows: dict[str, Rows]  # fields in which models differ, in MuJoCo's shapes
@@ -91,7 +91,7 @@ class Carry(NamedTuple):
 
 
 class KernelModelEngine(ModelEngine):
-    """Engine that compiles controller, MuJoCo's step and metrics of a tick into one kernel.
+    """Engine that compiles controller, physics (MuJoCo's equations) and metrics of a tick into one CPU kernel.
 
     Raises `InputError` where the kernel cannot simulate the model.
     """
@@ -124,7 +124,7 @@ class KernelModelEngine(ModelEngine):
         return read
 
     def check_varied(self, paths: Iterable[str]) -> Iterable[str]:
-        """Raise `InputError` for varied numbers of the model that the kernel does not read."""
+        """Raise `InputError` if a study varies a number of the model that the kernel does not read."""
         numbers = ModelNumbers(self._model, {}, {})
         jax.eval_shape(partial(self._read_numbers, numbers))
         for path in paths:
@@ -144,7 +144,7 @@ class KernelModelEngine(ModelEngine):
 
     @cached_property
     def c_mujoco_agreement(self) -> agreement.Agreement:
-        """Differences of the kernel's accelerations from C MuJoCo's on random states; stored beside the programs."""
+        """Differences between the kernel's and C MuJoCo's accelerations in random states, computed once and cached."""
 
         def compare() -> tuple[agreement.Agreement]:
             return (agreement.compare_accelerations(self._layout, self._model, self._spec.keyframe_index),)

@@ -25,7 +25,7 @@ FREE_JOINT = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
 class ObservationTerm(NamedTuple):
-    """A term of a policy's observation, fitted to a model."""
+    """One term of a neural policy's observation, such as joint positions, with size and scale for a model."""
 
     spec: TermSpec
     size: int
@@ -36,7 +36,7 @@ class ObservationTerm(NamedTuple):
 
 
 class LearnedPolicy(NamedTuple):
-    """A learned policy fitted to one model: the functions of a controller, and the specification behind them."""
+    """A neural-network policy prepared for one robot model: controller functions, actuators and scaling."""
 
     spec: PolicySpec
     inputs: Mapping[str, tuple[ObservationTerm, ...]]  # by the network's input
@@ -51,8 +51,7 @@ class LearnedPolicy(NamedTuple):
     assemble: Callable[..., Any]  # (belief, observation, state) -> numbers of each input, by name, and the next state
 
     def split_terms(self, numbers: Mapping[str, Any]) -> dict[str, list[tuple[str, str, np.ndarray]]]:
-        """Split the numbers of each network input into observation terms with names and units; of stacked ticks the
-        last.
+        """Split each network input into observation terms with names, units and numbers of the latest tick.
 
         Args:
             numbers: Numbers of each input, by its name.
@@ -72,7 +71,7 @@ class LearnedPolicy(NamedTuple):
 
     @property
     def recorded_columns(self) -> tuple[str, ...]:
-        """Names of the columns that record the policy's observation and action in a tick."""
+        """Names of the time-series columns with the policy's observation and action."""
         found = []
         for name, terms in self.inputs.items():
             start = f"observation_{name}" if len(self.inputs) > 1 else "observation"
@@ -97,19 +96,19 @@ class LearnedPolicy(NamedTuple):
 
     @property
     def measured_terms(self) -> dict[str, ObservationTerm]:
-        """Observation terms that are measured and therefore have sensor errors, by label."""
+        """Observation terms that come from sensors and therefore have sensor errors, by label."""
         return {
             one.spec.label: one for terms in self.inputs.values() for one in terms if one.measurement_slice is not None
         }
 
 
 def spec_path(network: Path) -> Path:
-    """Return the path of a network's specification file."""
+    """Return the path of the specification file that belongs to a network's file."""
     return network.with_name(f"{network.stem}{policy_spec.SPECIFICATION_SUFFIX}")
 
 
 def read_spec(file: Path, metadata: Mapping[str, str]) -> PolicySpec:
-    """Read the specification of a policy. Raises `InputError`.
+    """Read the specification of a neural policy from its file. Raises `InputError`.
 
     Args:
         file: The YAML file.
@@ -121,7 +120,7 @@ def read_spec(file: Path, metadata: Mapping[str, str]) -> PolicySpec:
 def fit_policy(
     error_prefix: str, spec: PolicySpec, network: Network, model: mujoco.MjModel, keyframe: int, period: float
 ) -> LearnedPolicy:
-    """Fit a policy to a model: look up joints and sensors, and check all sizes.
+    """Prepare a neural policy for a model: look up joints and sensors by name, and check all sizes.
 
     Args:
         error_prefix: What messages begin with, such as `walk.policy.yaml`.

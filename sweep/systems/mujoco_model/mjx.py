@@ -178,7 +178,7 @@ class MjxModelEngine(ModelEngine):
         return InputError(f"engine.name = {self._settings.name} is not allowed: {why} ({instead}or engine=native)")
 
     def check_varied(self, paths: Iterable[str]) -> Iterable[str]:
-        """Raise `InputError` for parameters that MJX cannot vary; return cautions, one line each."""
+        """Raise `InputError` for parameters that MJX cannot vary within a batch; return warnings, one line each."""
         grounds, paths = ([path for path in paths if terrain.is_terrain_path(path) == one] for one in (True, False))
         if grounds and self._impl == "warp":
             raise self._refusal(f"Warp has one terrain for all rollouts, which {grounds[0]} varies", "engine=mjx, ")
@@ -192,14 +192,14 @@ class MjxModelEngine(ModelEngine):
         return self.known_differences()
 
     def run(self, world: SideValues, belief: SideValues, streams: np.ndarray) -> Metrics:
-        """Simulate a batch and return its metrics; the engine's first batch is compared with C MuJoCo before."""
+        """Simulate a batch and return its metrics. The first batch is first compared with C MuJoCo."""
         self._cross_check(world, belief, streams)
         return super().run(world, belief, streams)
 
     def run_with_time_series(
         self, world: SideValues, belief: SideValues, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
     ) -> tuple[Metrics, np.ndarray]:
-        """Simulate a batch with columns over time; the engine's first batch is compared with C MuJoCo before."""
+        """Simulate a batch; return metrics and columns over time. The first batch is first compared with C MuJoCo."""
         self._cross_check(world, belief, streams)
         return super().run_with_time_series(world, belief, streams, slots, watch)
 
@@ -488,18 +488,18 @@ class MjxModelEngine(ModelEngine):
 
 
 def custom_numeric(model: mujoco.MjModel, name: str) -> np.ndarray | None:
-    """Return a custom numeric value of a model by name, as a view; None without one."""
+    """Return a custom numeric of a MuJoCo model by name, as a writable view; None if it has none."""
     number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
     return None if number < 0 else model.numeric_data[model.numeric_adr[number] :][:1]
 
 
 def count_geom_pairs(model: mujoco.MjModel) -> int:
-    """Count the pairs of geoms that may touch: explicit pairs, and those that MuJoCo's filters let through."""
+    """Return the number of geom pairs that may touch: explicit pairs, and those that MuJoCo's filters let through."""
     return len(find_geom_pairs(model)) + model.npair
 
 
 def limited_contact_dims(model: mujoco.MjModel) -> list[int]:
-    """Return the contact dimensions for which MJX drops contacts beyond the model's `max_contact_points`."""
+    """Return the contact dimensions (condim) for which MJX may drop contacts because of `max_contact_points`."""
     whole = copy(model)
     if (most := custom_numeric(whole, "max_contact_points")) is None:
         return []
@@ -509,14 +509,13 @@ def limited_contact_dims(model: mujoco.MjModel) -> list[int]:
 
 
 def model_leaf(model: Any, name: str) -> Any:
-    """Return the leaf of an MJX model by its name in `mujoco.batch`; None where it has none."""
+    """Return the array of an MJX model for a field named as in `mujoco.batch`; None where MJX lacks the field."""
     owner, name = fields.locate_field(model, name)
     return vars(owner).get(name)
 
 
 def enable_used_features(model: mujoco.MjModel, most: Mapping[str, Any]) -> mujoco.MjModel:
-    """Return a copy of a model in which features that any rollout uses are nonzero, so that the compiled program
-    includes them.
+    """Return a copy of a model with nonzero values for all features that a batch uses, so that MJX compiles them.
 
     Args:
         model: The model.
@@ -530,7 +529,7 @@ def enable_used_features(model: mujoco.MjModel, most: Mapping[str, Any]) -> mujo
 
 
 def warp_buffer_sizes(model: mujoco.MjModel, n: int) -> dict[str, int]:
-    """Return the sizes of Warp's buffers for n rollouts: contacts of all, and constraints of each."""
+    """Return the sizes of Warp's buffers for n rollouts: contacts of all rollouts, and constraints of each."""
     return {
         "naconmax": WARP_CONTACTS_PER_ROLLOUT * n,
         "njmax": WARP_CONSTRAINTS_PER_CONTACT * WARP_CONTACTS_PER_ROLLOUT + model.njnt + 2 * model.nv,

@@ -72,12 +72,12 @@ TERM_NOISE_PARAMETERS = {  # errors of one term of a learned policy's observatio
 
 @dataclass(frozen=True)
 class SideValues:
-    """Values by path in which the world, or the belief, differs from the nominal model."""
+    """Parameter values, by path, in which the simulated world or the belief differs from the nominal model."""
 
     values: tuple[tuple[str, Any], ...] = ()
 
     def select_group(self, root: str) -> dict[str, Any]:
-        """Return the values whose paths start with `root`."""
+        """Return the parameter values whose paths start with the group `root`."""
         return {path: value for path, value in self.values if path.startswith(f"{root}.")}
 
 
@@ -124,7 +124,7 @@ class ModelSpec:
         return make_motor_law(self.model, self.motors, self.actuator_networks)
 
     def model_values(self, world: SideValues) -> dict[str, Any]:
-        """Return those of a side's values, by path, that are numbers of the compiled model."""
+        """Select the parameter values, by path, that are numbers of the compiled model."""
         own = world.select_group("model").items()
         return {path: value for path, value in own if not terrain.is_terrain_path(path) and path not in FILE_PATHS}
 
@@ -173,14 +173,14 @@ class ModelSpec:
 
     @property
     def tracked_commands(self) -> tuple[str, ...]:
-        """Names of velocity commands whose tracking errors are metrics."""
+        """Names of the velocity commands for which tracking errors are computed."""
         names = tuple(name for name in VELOCITY_COMMANDS if name in self.controller.parameters)
         is_tracked = self.base_address is not None and (self.controller.fitted_policy or self.schedules)
         return names if is_tracked else ()
 
     @property
     def base_address(self) -> int | None:
-        """Index in `qpos` of the first free joint; None without one."""
+        """Index in `qpos` of the model's first free joint (its base); None without one."""
         free = np.flatnonzero(self.model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
         return int(self.model.jnt_qposadr[free[0]]) if len(free) else None
 
@@ -202,12 +202,12 @@ class ModelSpec:
         return names.index(name) if name else -1
 
     def observable_state(self, qpos: Any, qvel: Any, sensors: Any) -> Any:
-        """Concatenate positions, velocities and sensors to states (n, s) without noise, see `state_slices`."""
+        """Return the observable states (n, s) without noise: positions, velocities and sensors in one array."""
         return array_namespace(qpos).concatenate([qpos, qvel, sensors], axis=1)
 
     @cached_property
     def state_slices(self) -> dict[str, slice]:
-        """Slices of the observable state: `qpos`, `qvel` and sensors by name."""
+        """Slices of the state array in which `qpos`, `qvel` and the sensors lie, by name."""
         model, first = self.model, self.model.nq + self.model.nv
         found = {"qpos": slice(0, model.nq), "qvel": slice(model.nq, first)}
         starts, sizes = first + model.sensor_adr, model.sensor_dim
@@ -215,7 +215,7 @@ class ModelSpec:
         return found | {name: slice(starts[k], starts[k] + sizes[k]) for k, name in named.items()}
 
     def split_state(self, state: Any) -> dict[str, Any]:
-        """Split one observable state (s,) into its parts by name."""
+        """Split one state array (s,) into positions, velocities and sensors, by name."""
         return {name: state[place] for name, place in self.state_slices.items()}
 
     def observe_state(self, state: Any) -> Any:
@@ -226,7 +226,7 @@ class ModelSpec:
 
     @cached_property
     def observed_slices(self) -> list[slice]:
-        """Slices of the observable state that the controller observes. Raises `InputError`."""
+        """Slices of the model's state (positions, velocities, sensors) that the controller observes."""
         model, names = self.model, self.config.observe
         if names and self.controller.observe:
             raise InputError("model.observe is not allowed: the controller has a function `observe`")
@@ -236,12 +236,12 @@ class ModelSpec:
         return [self.state_slices[name] for name in names] or [usual]
 
     def believed_values(self, values: ColumnValues) -> dict[str, Any]:
-        """Return what the controller believes, by its own names; `values` by path replace nominal ones."""
+        """Return the controller's believed parameters by its own names: `values` by path, else nominal values."""
         paths = {**self.controller.belief_paths, **{name: f"controller.{name}" for name in self.controller.parameters}}
         return {name: values[path] if path in values else self.nominal_value(path) for name, path in paths.items()}
 
     def nominal_file_of_path(self, path: str) -> str:
-        """Return the nominal file or module of one of `FILE_PATHS`."""
+        """Return the nominal file or module of a parameter that names a file, such as `model.mjcf`."""
         owner = self.config.terrain if terrain.is_terrain_path(path) else self.config
         return getattr(owner, path.rpartition(".")[2], "")
 
@@ -260,7 +260,7 @@ class ModelSpec:
     def time_series_columns(
         self, qpos: np.ndarray, qvel: np.ndarray, recorded: np.ndarray | None = None
     ) -> dict[str, np.ndarray]:
-        """Compute the columns of time series, (n,) each.
+        """Return the time-series columns, (n,) each, of n recorded states.
 
         Args:
             qpos: Positions (n, nq).
@@ -294,7 +294,7 @@ def cosine_of_tilt(quat: Any, start: Any) -> Any:
 
 
 def up_axis(quat: Any) -> tuple[Any, Any, Any]:
-    """Return the body's z axis in world axes, of a unit quaternion (4, ...), as three components."""
+    """Return the z axis of a body in world axes, as three components, from its unit quaternion (4, ...)."""
     w, x, y, z = quat
     return 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
 

@@ -25,14 +25,14 @@ NEEDED = ("stall_torque", "no_load_speed")
 
 
 class MotorGroup(NamedTuple):
-    """The motors of some joints: their name, and the actuators of the joints."""
+    """Motors of a scenario that share limits: their name, and the actuators that they drive."""
 
     name: str
     actuators: tuple[int, ...]
 
 
 class MotorLimits(NamedTuple):
-    """Limits of the torques of n rollouts, and the laws of their nu actuators."""
+    """Torque limits of the motors of n rollouts, and the force laws of the nu actuators."""
 
     stall: Any  # (n, nu) N*m
     speed: Any  # (n, nu) rad/s
@@ -46,7 +46,7 @@ class MotorLimits(NamedTuple):
 
 
 class MotorLaw(NamedTuple):
-    """Clips controls so that joint torques stay within what motors can give; numbers of the nu actuators."""
+    """Clips the controls of nu actuators so that joint torques stay within what motors can deliver at their speed."""
 
     qpos: np.ndarray  # (nu,) index of the joint's position
     qvel: np.ndarray  # (nu,) index of the joint's velocity
@@ -54,7 +54,7 @@ class MotorLaw(NamedTuple):
     learned: np.ndarray  # (nu,) whether a network gives the motor's torque
 
     def controls(self, ctrl: Any, qpos: Any, qvel: Any, limits: MotorLimits, torques: Any = None) -> Any:
-        """Return controls (n, nu) whose torques the motors can give, as a physics step begins.
+        """Return controls (n, nu) for a physics step that the motors can deliver.
 
         The torque of a motor at the speed v is between `-stall (1 + v / speed)` and `stall (1 - v / speed)`, and at
         most `most` in size: beyond the no-load speed it brakes.
@@ -81,7 +81,7 @@ class MotorLaw(NamedTuple):
 def parse_motors(
     given: Any, model: mujoco.MjModel
 ) -> tuple[tuple[MotorGroup, ...], tuple[ActuatorNetwork, ...], dict[str, Any]]:
-    """Return the motors of a configuration, their networks, and their numbers by path. Raises `InputError`.
+    """Return the motors in a configuration, their networks, and their numeric parameters by path. Raises `InputError`.
 
     Args:
         given: For each name a mapping with `joints`, a pattern of names, keys of `MOTOR`, and with the key `network`
@@ -138,7 +138,7 @@ def _find_motors(error_prefix: str, pattern: str, model: mujoco.MjModel) -> tupl
 def make_motor_law(
     model: mujoco.MjModel, groups: tuple[MotorGroup, ...], networks: tuple[ActuatorNetwork, ...] = ()
 ) -> MotorLaw | None:
-    """Make the torque-clipping law of all actuators; None if no joint has a motor.
+    """Make the law that clips actuator torques to motor limits; None if no joint has a motor.
 
     Args:
         model: The model.

@@ -9,7 +9,7 @@ from sweep.core.errors import InputError, require_choice
 def iterate_named_entries(
     group: str, given: Any, such: str, allowed: Collection[str], needed: Sequence[str]
 ) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Yield the name and the keys of each entry of a group. Raises `InputError` where a name or a key is not allowed.
+    """Yield name and content of each entry in a configuration group. Raises `InputError` for a wrong name or key.
 
     Args:
         group: Name of the group.

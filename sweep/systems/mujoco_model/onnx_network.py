@@ -27,7 +27,7 @@ RANDOM_OPERATOR_PREFIXES = (
 
 
 class Network(NamedTuple):
-    """A neural network read from a file."""
+    """A neural network read from a file, with its inputs and outputs."""
 
     name: str  # as messages call it
     inputs: Mapping[str, ArrayShape]
@@ -36,7 +36,7 @@ class Network(NamedTuple):
     evaluate: Callable[[Mapping[str, Any]], dict[str, Any]]  # outputs by name, of inputs by name, in their shapes
 
     def input_shape(self, name: str) -> tuple[int, ...]:
-        """Return the shape of an input for one rollout; free sizes are 1, except for the last axis."""
+        """Return the shape of a network input for one rollout; free sizes are 1, except for the last axis."""
         shape = self.inputs[name]
         return tuple(-1 if one is None and k == len(shape) - 1 else (one or 1) for k, one in enumerate(shape))
 
@@ -80,7 +80,7 @@ def _read(name: str, file: Path, changed: int) -> Network:
 
 
 def make_network(name: str, model: Any, folder: Path) -> Network:
-    """Make a network from an ONNX model.
+    """Make a network that JAX can evaluate from an ONNX model.
 
     Args:
         name: The name that messages give.
@@ -129,7 +129,7 @@ def make_network(name: str, model: Any, folder: Path) -> Network:
 
 
 def make_joint_network(network: Network, recurrent: Mapping[str, str], size: int) -> Callable[[Any, Any], Any]:
-    """Make a function of the joints of one rollout from a network of a single joint.
+    """Turn a network of a single joint into a function of all joints of one rollout.
 
     Args:
         network: The network. It has one input and one output beside recurrent ones.

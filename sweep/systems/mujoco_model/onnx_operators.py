@@ -37,7 +37,7 @@ class OperatorCall:
         return self.attributes.get(name, default)
 
     def attribute_or_input(self, name: str, inputs: Sequence[Any], place: int, default: Any = None) -> Any:
-        """Return a value that older operator sets store as attribute and newer ones as constant input.
+        """Return a parameter of an ONNX node: an attribute in older operator sets, a constant input in newer ones.
 
         Args:
             name: Name of the attribute.

@@ -27,14 +27,14 @@ PREFIX = "payload_"  # of the bodies' names
 
 
 class Payload(NamedTuple):
-    """A payload of a scenario: its name, and the body that carries it."""
+    """A payload of a scenario: its name, and the robot's body that carries it."""
 
     name: str
     body: str
 
 
 def parse_payloads(given: Any, bodies: list[str]) -> tuple[tuple[Payload, ...], dict[str, Any]]:
-    """Return the payloads of a configuration, and their numbers by path. Raises `InputError`.
+    """Return the payloads in a configuration, and their numeric parameters by path. Raises `InputError`.
 
     Args:
         given: For each name a mapping with `body` and keys of `PAYLOAD`.
@@ -52,7 +52,7 @@ def parse_payloads(given: Any, bodies: list[str]) -> tuple[tuple[Payload, ...], 
 
 
 def add_payloads(source: mujoco.MjSpec, payloads: tuple[Payload, ...]) -> mujoco.MjSpec:
-    """Return a copy of a model's source with a body of no mass for each payload."""
+    """Return a copy of a model's source in which each payload is a massless body."""
     changed = source.copy()
     for one in payloads:
         changed.body(one.body).add_body(name=f"{PREFIX}{one.name}")
@@ -62,7 +62,7 @@ def add_payloads(source: mujoco.MjSpec, payloads: tuple[Payload, ...]) -> mujoco
 
 
 def write_payloads(batch: Batch, payloads: tuple[Payload, ...], values: Mapping[str, Any]) -> frozenset[str]:
-    """Write payloads into the models of a batch, and recompute what follows from them.
+    """Write masses and positions of payloads into the models of a batch, and recompute derived fields.
 
     Args:
         batch: The batch of n models.

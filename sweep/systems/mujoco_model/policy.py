@@ -36,19 +36,19 @@ def _draw_normal(key: Array, like: Array) -> Array:
 
 
 def select_numbers(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return those of the values that are numbers rather than names."""
+    """Select the values that are numbers, not texts such as file names."""
     return {path: value for path, value in values.items() if not isinstance(value, str)}
 
 
 class ControllerEnd(NamedTuple):
-    """Belief and final state of a user's controller, from which its own metrics are computed."""
+    """Belief and final state of a user's controller, from which the controller's own metrics are computed."""
 
     belief: Mapping[str, Any]
     state: Any  # of the controller
 
 
 def make_user_metric(control: files.LoadedController) -> Metric[Any]:
-    """Make a metric from a controller's `measure` and `figures`; its columns are those of `FIGURES`.
+    """Make a metric from the functions `measure` and `figures` of a user's controller; `FIGURES` names its columns.
 
     It begins with, and is updated by, all that can be observed by name.
     """
@@ -69,8 +69,7 @@ class FirstTick(NamedTuple):
 
 
 class ControllerPrograms:
-    """Compiled functions of a user's controller for any number of rollouts. Raises `InputError` for invalid
-    controllers.
+    """Compiled functions of a user's controller for batches of rollouts. Raises `InputError` for invalid controllers.
 
     `begin(belief, key) -> (start, state, duration)`: positions (nq,) and seconds, or None for the model's own.
     `policy(belief, observation, state, key) -> (ctrl, state)`: once a tick, of an observation (k,), controls (nu,).
@@ -102,8 +101,7 @@ class ControllerPrograms:
         )
 
     def begin_controller(self, policy_inputs: Mapping[str, Any]) -> tuple[Any, Any, Any]:
-        """Call the controller's `begin` for one rollout: start position, state and duration, which is endless where it
-        names none."""
+        """Call the controller's `begin` for one rollout; return start, state and duration (default: infinite)."""
         key = jax.random.fold_in(jax.random.wrap_key_data(policy_inputs["key"]), 0)
         start, state, duration = self._begin(self._belief(policy_inputs, jnp.int32(0)), key)
         return start, state, jnp.asarray(jnp.inf if duration is None else duration)
@@ -119,8 +117,7 @@ class ControllerPrograms:
     def start_rollout(
         self, policy_inputs: Mapping[str, Any], state: Any, observable: Array, ticks: Array
     ) -> dict[str, Any]:
-        """Return the values that one rollout carries from tick to tick, from the controller's `state` and the
-        observable state (s,)."""
+        """Return what one rollout carries from tick to tick: the controller's state and past observations."""
         key, seen = (
             jax.random.fold_in(jax.random.wrap_key_data(policy_inputs["key"]), 1),
             self._spec.observe_state(observable),
@@ -148,8 +145,7 @@ class ControllerPrograms:
         return jnp.concatenate([jnp.full(one.size, errors[label]) for label, one in learned.measured_terms.items()])
 
     def tick_controller(self, policy_inputs: Mapping[str, Any], carried: Any, observable: Array) -> tuple[Array, Any]:
-        """Run one control tick of one rollout: controls (nu,), or the observation (k,) of a batched controller, and the
-        next carry."""
+        """Run the controller for one tick of one rollout; return controls (nu,) and the state to carry on."""
         tick, seen = carried["tick"], self._spec.observe_state(observable)
         policy_key, noise = jax.random.split(
             jax.random.fold_in(jax.random.wrap_key_data(policy_inputs["key"]), 2 + tick)
@@ -184,14 +180,14 @@ class ControllerPrograms:
     def compute_rollout_metrics(
         self, policy_inputs: Mapping[str, Any], carried: Any, observable: Array
     ) -> dict[str, Array]:
-        """Compute the controller's own metrics of one rollout, by name, from the observable state (s,) at its end."""
+        """Compute the controller's own metrics of one rollout from its last state (s,), by name."""
         measured = self._measured(policy_inputs, carried, observable)
         belief = self._belief(policy_inputs, carried["ticks"] - 1)
         found = self._metric.compute(measured["measurement"], ControllerEnd(belief, carried["state"]))
         return found | (self._tracking.compute(measured["tracking"]) if self._tracking else {})
 
     def rollout_outputs(self, world: SideValues, belief: SideValues, key: Array) -> Any:
-        """Return controller outputs and model inputs of one rollout; this function is traced by JAX, not run."""
+        """Compute controller outputs and model inputs of one rollout; JAX only traces this function for analysis."""
         spec = self._spec
         policy_inputs = {**controller_inputs(spec, world, belief), "key": jax.random.key_data(key)}
         policy_inputs["delay"] = jnp.rint(jnp.asarray(policy_inputs["delay"])).astype(jnp.int32)
@@ -225,7 +221,7 @@ class ControllerPrograms:
         return keep_ended_states(within, new, old)
 
     def check_start(self, begun: BatchStart) -> None:
-        """Raise `InputError` where the first controls are not finite, or a second call returns different ones.
+        """Raise `InputError` if the controller's first controls are not finite, or differ between two calls.
 
         The calls are for the nominal start; one of a batched controller lies between the two that must agree.
         """
@@ -261,7 +257,7 @@ class ControllerPrograms:
             )
 
     def evaluate_first_tick(self, begun: BatchStart) -> FirstTick:
-        """Evaluate the controller at the nominal start. Raises `InputError` where it fails.
+        """Return observations and commands of the controller at the nominal start. Raises `InputError` where it fails.
 
         Args:
             begun: A batch whose first rollout is nominal.
@@ -291,7 +287,7 @@ class ControllerPrograms:
         return InputError(f"model.controller = {self._spec.config.controller} {what}")
 
     def call_user_code(self, function: Callable[..., Any], *args: Any, when: str = "", is_own: bool = True) -> Any:
-        """Call a function that runs the user's code, and locate errors in it.
+        """Call a function that runs a user's code; name the line of that code if it raises an error.
 
         Args:
             function: the function.
@@ -323,8 +319,7 @@ class ControllerPrograms:
         return tuple(jax.jit(jax.vmap(one)) for one in each)
 
     def call_compiled(self, program: Callable[..., Any], *inputs: Any, when: str = "") -> Any:
-        """Call a compiled program that contains the controller, and wait, so that the controller's errors are raised
-        here.
+        """Call a compiled program that contains a user's controller, and wait so that its errors are raised here.
 
         Args:
             program: The program.
@@ -337,8 +332,7 @@ class ControllerPrograms:
         return self.call_user_code(lambda: jax.block_until_ready(program(*inputs)), when=when, is_own=False)
 
     def compute_controls(self, policy_output: np.ndarray, when: str = "") -> np.ndarray:
-        """Return controls (n, nu) from the program's output (n, ...), which a batched controller receives as its
-        observation."""
+        """Return the controls (n, nu): the program's output, or a batched controller's result for it as observation."""
         if not self._spec.controller.is_batched:
             return policy_output
         policy_output, controls = np.array(policy_output), self._spec.model.nu
@@ -392,7 +386,7 @@ class ControllerPrograms:
 
 
 class TiledActuators:
-    """A learned actuator network over n rollouts, evaluated in tiles of `TILE_ROLLOUTS` rollouts."""
+    """A neural network for actuator torques, evaluated for `TILE_ROLLOUTS` of n rollouts at a time."""
 
     def __init__(self, network: ActuatorNetwork):
         one = network.load_evaluation()
@@ -407,7 +401,7 @@ class TiledActuators:
 
 
 class ControllerBatch:
-    """The controllers of n rollouts, called in tiles of `TILE_ROLLOUTS` rollouts.
+    """The controllers of n rollouts, evaluated for `TILE_ROLLOUTS` rollouts at a time.
 
     The last tile is filled up with copies of the last rollout. `policy_inputs` has one row for each rollout.
     """
@@ -423,18 +417,17 @@ class ControllerBatch:
         self.start, self.duration = self._joined(starts), self._joined(durations)
 
     def begin_rollouts(self, observable: np.ndarray, ticks: np.ndarray) -> None:
-        """Begin the rollouts from observable states (n, s), for a number of ticks (n,)."""
+        """Begin n rollouts from the model's states (n, s), for numbers of ticks (n,)."""
         self._carried = self._of_tiles(self._programs.enter, observable, ticks.astype(np.int32))
 
     def next_controls(self, observable: np.ndarray) -> np.ndarray:
-        """Return the controls (n, nu) of the next tick, from observable states (n, s)."""
+        """Return the controls (n, nu) of the next tick, from the model's states (n, s)."""
         self._tick += 1
         parts, self._carried = zip(*self._of_tiles(self._programs.tick, observable), strict=True)
         return self._joined([self._programs.compute_controls(one, self._when) for one in parts])
 
     def read_policy(self, slots: Any) -> np.ndarray:
-        """Return observations and actions of learned policies in the latest tick (slots, k); k is 0 for other
-        controllers."""
+        """Return observation and action (slots, k) of a neural policy in the last tick; k = 0 for others."""
         learned, slots = self._programs.learned, np.asarray(slots, int)
         if learned is None:
             return np.zeros((len(slots), 0))
@@ -442,7 +435,7 @@ class ControllerBatch:
         return np.concatenate(tiles)[slots].astype(float)
 
     def finish(self, observable: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the controllers' own metrics (n,), by name, from observable states (n, s) at the end."""
+        """Return the controllers' own metrics (n,), by name, from the model's last states (n, s)."""
         parts = self._of_tiles(self._programs.finish, observable)
         return {name: self._joined([one[name] for one in parts]) for name in parts[0]}
 

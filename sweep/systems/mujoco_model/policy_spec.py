@@ -79,7 +79,7 @@ Numbers = float | tuple[float, ...]
 
 @dataclass(frozen=True)
 class TermSpec:
-    """One term of a policy's observation, which is clipped, scaled, and stacked with those of earlier ticks."""
+    """One term of a neural policy's observation: its source, clipping, scale, and number of past ticks."""
 
     term: str  # what is observed: a name of the table below
     name: str = ""  # name in axes and messages; by default that of the sensor, or of the term
@@ -98,13 +98,13 @@ class TermSpec:
 
     @property
     def label(self) -> str:
-        """Name of the term in axes and messages."""
+        """Name of the observation term in columns and messages."""
         return self.name or self.sensor or self.term
 
 
 @dataclass(frozen=True)
 class ActionSpec:
-    """How the network's output becomes controls: `offset + scale * clipped output`, joint by joint."""
+    """Conversion of a policy network's output to controls: `offset + scale * clipped output`, joint by joint."""
 
     scale: Any = 1.0  # number, list in the order of `joints`, or numbers by pattern of joint names
     offset: Any = "default_pose"  # in the form of `scale`, or the default pose of the joints
@@ -125,7 +125,7 @@ class ActionSpec:
 
 @dataclass(frozen=True)
 class RecurrentSpec:
-    """An input of the network that receives an output of the previous tick, such as the state of an LSTM."""
+    """A network input that receives an output of the previous tick, such as an LSTM's state."""
 
     input: str  # name of the network's input
     output: str  # name of the network's output
@@ -166,7 +166,7 @@ CHOICES = {
 
 
 def parse_policy(error_prefix: str, config: Mapping[str, Any], metadata: Mapping[str, str]) -> PolicySpec:
-    """Build the specification of a policy from its file, the network's metadata and its preset.
+    """Build the specification of a neural policy from its file, the network's metadata and a preset.
 
     Args:
         error_prefix: What messages begin with, such as `walk.policy.yaml`.
@@ -220,7 +220,7 @@ def read_metadata(error_prefix: str, metadata: Mapping[str, str]) -> dict[str, A
 
 
 def parse_terms(error_prefix: str, config: Any) -> tuple[TermSpec, ...]:
-    """Build the terms of one input from a list of names and mappings. Raises `InputError`."""
+    """Build the observation terms of one network input from a list of names and mappings. Raises `InputError`."""
     if not isinstance(config, list | tuple) or not config:
         raise InputError(
             f"{error_prefix} is not allowed: a list of terms, such as [projected_gravity, joint_positions]"
@@ -248,7 +248,7 @@ def parse_terms(error_prefix: str, config: Any) -> tuple[TermSpec, ...]:
 
 
 def require_unique_labels(error_prefix: str, labels: Sequence[str], where: str) -> None:
-    """Raise `InputError` where two terms have the same label.
+    """Raise `InputError` where two observation terms have the same label.
 
     Args:
         error_prefix: What messages begin with.

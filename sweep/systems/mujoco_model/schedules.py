@@ -18,14 +18,14 @@ EARLY = 1e-9  # s by which a tick counts as later, so that rounding delays no st
 
 
 class Schedule(NamedTuple):
-    """Values of one number of the controller over time: linear between points, constant before and after them."""
+    """Values over time of one parameter of a controller: linear between points, constant before and after them."""
 
     name: str
     points: tuple[tuple[float, float], ...]  # time (s) and value; two points of one time are a step
 
 
 def parse_schedules(given: Any, names: Sequence[str], folder: Path) -> tuple[tuple[Schedule, ...], dict[str, Any]]:
-    """Return the schedules of a configuration, and their numbers by path. Raises `InputError`.
+    """Return the schedules in a configuration, and their numeric parameters by path. Raises `InputError`.
 
     Args:
         given: For each name a list of times and values, or a mapping with `points` and `factor`; or `file`, a table

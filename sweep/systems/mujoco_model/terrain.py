@@ -41,7 +41,7 @@ PARAMETERS = {"kind": KIND, **SIZES, **NUMBERS}
 
 @dataclass(frozen=True)
 class TerrainConfig:
-    """Structure of a terrain, from `model.terrain`: kind, image, and points of the height field."""
+    """Settings of a terrain from `model.terrain`: kind, image file, and number of height-field points."""
 
     geom: str = ""  # the plane that it replaces; "" for the only one
     file: str = ""  # image of the kind `image`
@@ -58,18 +58,18 @@ class TerrainConfig:
 
     @property
     def axes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Coordinates (m) of the height-field points along x (columns,) and y (rows,), from the middle."""
+        """Coordinates (m) of the height-field points along x (columns,) and y (rows,), from the terrain's middle."""
         rows, columns = self.points
         return tuple(np.linspace(-side / 2, side / 2, n) for side, n in ((self.length, columns), (self.width, rows)))  # pyright: ignore[reportReturnType]
 
     def values_by_path(self) -> dict[str, Any]:
-        """Return the settings of the terrain's structure that affect rollouts, by path."""
+        """Return the terrain settings that affect results (kind, image, grid), by path."""
         return {f"{PREFIX}{name}": getattr(self, name) for name in ("kind", "geom", *SIZES)} | (
             {f"{PREFIX}file": self.file} if self.file else {}
         )
 
     def with_values(self, values: Mapping[str, Any]) -> "TerrainConfig":
-        """Return this terrain structure with other settings, by path; numeric parameters are ignored."""
+        """Return these terrain settings with other kind, image or grid, by path; other parameters are ignored."""
         own = {path.removeprefix(PREFIX): value for path, value in values.items() if path.startswith(PREFIX)}
         return replace(self, **{key: value for key, value in own.items() if key in (*SIZES, "kind", "file")})
 
@@ -80,7 +80,7 @@ def is_terrain_path(path: str) -> bool:
 
 
 def parse_terrain(given: Any) -> tuple[TerrainConfig | None, dict[str, Any]]:
-    """Return the structure of a terrain and its numbers by path; None where the configuration has none.
+    """Return the settings of a terrain, and its numeric parameters by path; None if none is configured.
 
     Raises:
         InputError: A key or a value is not allowed.
@@ -116,7 +116,7 @@ def check_terrain_size(shape: TerrainConfig) -> None:
 
 
 def check_height_range(shape: TerrainConfig, numbers: Mapping[str, Any]) -> None:
-    """Raise `InputError` if terrain heights exceed the range of a height field.
+    """Raise `InputError` if terrain heights exceed what a height field of the model can hold.
 
     Args:
         shape: The structure.
@@ -183,7 +183,7 @@ def find_terrain_geom(model: mujoco.MjModel) -> int:
 
 
 def height_data_slice(model: mujoco.MjModel, number: int = 0) -> slice:
-    """Return the slice of a model's `hfield_data` that holds the heights of one terrain.
+    """Return where the heights of one terrain are in a model's `hfield_data`, as a slice.
 
     Args:
         model: The model.
@@ -195,7 +195,7 @@ def height_data_slice(model: mujoco.MjModel, number: int = 0) -> slice:
 
 
 class TerrainBatch(NamedTuple):
-    """The terrains of n rollouts, k of which are distinct."""
+    """Terrains of the n rollouts in a batch, of which k are distinct."""
 
     shape: TerrainConfig
     heights: np.ndarray  # (k, rows, columns) m, in the axes of the terrain's geom
@@ -204,11 +204,11 @@ class TerrainBatch(NamedTuple):
 
     @property
     def height_data(self) -> np.ndarray:
-        """Heights (k, rows * columns) in MuJoCo's storage order, in units of `RANGE`."""
+        """Heights of the k terrains (k, rows * columns) in MuJoCo's storage order, in units of `RANGE`."""
         return (self.heights / RANGE).astype(np.float32).reshape(len(self.heights), -1)
 
     def metric_inputs(self, place: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the terrain data that metrics need, by name.
+        """Return the terrain heights and positions from which metrics compute the ground under the robot, by name.
 
         Args:
             place: Places (n, 3) of the terrain's geom in the world, m.
@@ -227,7 +227,7 @@ class TerrainBatch(NamedTuple):
         return {"ground": self.heights, "ground_index": self.which, "ground_place": place}
 
     def with_heights(self, model: mujoco.MjModel) -> mujoco.MjModel:
-        """Return a copy of a model of k height fields, with the heights of the k terrains."""
+        """Return a copy of a model whose k height fields have the heights of the k terrains."""
         model = copy(model)
         for k, values in enumerate(self.height_data):
             model.hfield_data[height_data_slice(model, k)] = values
@@ -238,7 +238,7 @@ class TerrainBatch(NamedTuple):
         batch.expand("geom_dataid")[:, find_terrain_geom(batch.model)] += self.which
 
     def make_picture_model(self, batch: Batch, slot: int, alone: mujoco.MjModel) -> mujoco.MjModel:
-        """Return the model of a rollout with its own height field only, for drawing.
+        """Return the model of one rollout with the heights of its own terrain only, for drawing.
 
         Args:
             batch: The batch.
@@ -261,7 +261,7 @@ class TerrainBatch(NamedTuple):
 def make_terrain_batch(
     shape: TerrainConfig, numbers: Mapping[str, np.ndarray], varies: bool, image: np.ndarray | None = None
 ) -> TerrainBatch:
-    """Make the terrains of n rollouts.
+    """Compute the terrain heights of n rollouts from the parameters of their terrains.
 
     Args:
         shape: The structure.
@@ -279,7 +279,7 @@ def make_terrain_batch(
 
 
 def lift_above_terrain(ground: TerrainBatch, batch: Batch, qpos: np.ndarray) -> None:
-    """Shift free bodies vertically so that they start at their height above the terrain.
+    """Shift free bodies vertically so that they start as far above the terrain as above the level floor.
 
     Each tree that begins with a free joint keeps, between its geoms and the highest ground under them, the least
     distance that its lowest geom has from the level floor.
@@ -312,7 +312,7 @@ def _box_centres(model: mujoco.MjModel, geoms: np.ndarray, turns: np.ndarray) ->
 
 
 def geom_half_extents(model: mujoco.MjModel, geom: int, turns: np.ndarray) -> np.ndarray:
-    """Return half the extents of a geom along world axes; meshes count by their bounding boxes.
+    """Return half the extents (m) of a geom along world axes; meshes count by their bounding boxes.
 
     Args:
         model: The model.

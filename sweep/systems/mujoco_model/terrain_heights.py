@@ -30,7 +30,7 @@ ROUNDING = 1e-9  # of a cell, within which a place counts as on its edge
 
 
 class GridPoints(NamedTuple):
-    """Points of a height field, in its own axes, and along and across the heading."""
+    """Points of a height field (m): x and y, and their coordinates along and across the terrain's heading."""
 
     x: np.ndarray  # (rows, columns) m
     y: np.ndarray
@@ -39,7 +39,7 @@ class GridPoints(NamedTuple):
 
 
 def random_lattice(seed: int, i: np.ndarray, j: np.ndarray) -> np.ndarray:
-    """Return even random numbers from 0 to 1 that depend on a seed and on whole numbers i and j, of any equal shape."""
+    """Return uniform random numbers from 0 to 1 that are a function of a seed and of whole numbers i and j."""
     with np.errstate(over="ignore"):
         bits = np.asarray(i, np.int64).astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
         bits += np.asarray(j, np.int64).astype(np.uint64) * np.uint64(0xC2B2AE3D27D4EB4F)
@@ -153,7 +153,7 @@ def compute_heights(
 
 
 def greatest_height(kind: str, numbers: Mapping[str, Any], reach: float) -> Any:
-    """Return an upper bound on the absolute heights of a terrain.
+    """Return an upper bound (m) on the absolute heights of a terrain.
 
     Args:
         kind: One of `KINDS`.

@@ -31,7 +31,7 @@ Places = slice | np.ndarray  # of numbers in an array
 
 
 def as_slice_if_contiguous(numbers: np.ndarray) -> Places:
-    """Return ascending indices without gaps as a slice (no copy in NumPy), other indices unchanged."""
+    """Convert ascending indices without gaps to a slice, which NumPy reads without a copy; return others unchanged."""
     return slice(numbers[0], numbers[-1] + 1) if len(numbers) and np.all(np.diff(numbers) == 1) else numbers
 
 
@@ -84,7 +84,7 @@ class ModelPartIndices:
 
 
 class ModelStart(NamedTuple):
-    """State of a batch of rollouts before their first tick, from which metrics begin."""
+    """Positions of a batch of models before their first tick, from which the metrics' states are made."""
 
     parts: ModelPartIndices
     qpos: Array  # (n, nq)
@@ -93,7 +93,7 @@ class ModelStart(NamedTuple):
 
     @property
     def torque_groups(self) -> int:
-        """Number of joint groups for torques: one for each drive of a hinge joint."""
+        """Number of groups of joints for which peak torques are computed: one for each actuator of a hinge joint."""
         return len(self.parts.hinge_gears)
 
     @property
@@ -107,13 +107,13 @@ class ModelStart(NamedTuple):
         return self.qpos[:, self.parts.base_quat]
 
     def constant_state(self, value: Any) -> Array:
-        """Return a constant as a metric state for each rollout, in the rollouts' precision."""
+        """Convert a constant to a metric state for each rollout, in the rollouts' precision."""
         xp, value = array_namespace(self.qpos), np.asarray(value)
         dtype = self.qpos.dtype if value.dtype.kind == "f" else value.dtype
         return xp.broadcast_to(xp.asarray(value, dtype), (len(self.qpos), *value.shape))
 
     def init_touchdown_points(self) -> "GroundTouchdownPoints":
-        """Return the touchdown points before any foot is loaded."""
+        """Return the touchdown points of the feet before any foot is loaded."""
         feet = self.parts.feet_count
         return GroundTouchdownPoints(
             self.constant_state(np.zeros((feet, 2))), self.constant_state(np.zeros(feet, bool))
@@ -121,7 +121,7 @@ class ModelStart(NamedTuple):
 
 
 class ModelTick:
-    """Report of the physics steps of a batch since the previous report, with which metrics are updated.
+    """An engine's report of a batch's physics steps since the previous report, with which metrics are updated.
 
     Args:
         parts: Places of the model's parts.
@@ -179,7 +179,7 @@ class ModelTick:
 
     @property
     def joint_torques(self) -> Array:
-        """Absolute torque (n, s, k) in N m of each drive of a hinge joint, at the joint."""
+        """Absolute torques (n, s, k) in N m that actuators exert on hinge joints, one for each pair of these."""
         force = self.steps["actuator_force"][..., self.parts.hinge_drives]
         return array_namespace(force).abs(force) * self.parts.hinge_gears
 
@@ -199,19 +199,18 @@ class ModelTick:
         return self.steps["sensordata"][..., self.parts.foot_sensors]
 
     def motion_along_command(self, before: Array) -> tuple[None, int]:
-        """Return None and the number of steps: with a constant direction, the end position gives the displacement."""
+        """Return None and the number of steps; the displacement follows from the end, as the direction is constant."""
         return None, self.number
 
 
 class GroundTouchdownPoints(NamedTuple):
-    """Points where the feet last touched down, in the ground's plane (m), and which feet are loaded."""
+    """Horizontal positions (m) where the feet last touched down, and which feet are loaded."""
 
     positions: Array  # (n, feet, 2)
     loaded: Array  # (n, feet)
 
     def update(self, ctx: ModelTick) -> tuple["GroundTouchdownPoints", Array]:
-        """Return the state after a report, and the largest distance of each loaded foot from its touchdown point (n,
-        feet)."""
+        """Return the touchdown points after a report, and the largest distance (n, feet) in m of loaded feet."""
         loaded, place = ctx.foot_loads > FOOT_LOAD_THRESHOLD_N, ctx.steps["site_xpos"][:, :, ctx.parts.foot_sites, :2]
         xp = array_namespace(place)
         before = xp.concatenate([self.loaded[:, None], loaded[:, :-1]], axis=1)
@@ -253,16 +252,16 @@ class ModelRollout(NamedTuple):
         return total * self.parts.timestep
 
     def share(self, count: np.ndarray) -> np.ndarray:
-        """Return `count` divided by the number of physics steps."""
+        """Return `count` as a share of the rollout's physics steps."""
         return count / np.maximum(self.steps, 1)
 
     def displacement_along(self, displacement: np.ndarray) -> np.ndarray:
-        """Return the component of displacements (n, 3) along `model.direction`."""
+        """Return the component (n,) of displacements (n, 3) along the direction `model.direction`."""
         return displacement @ self.parts.direction
 
 
 def interpolate_heights(fields: Array, index: Array, place: Array, x: np.ndarray, y: np.ndarray) -> Array:
-    """Return heights between the points of height fields, on the triangles that MuJoCo makes of each cell.
+    """Return terrain heights (m) at places between the points of height fields, on MuJoCo's triangles.
 
     Args:
         fields: Heights (k, rows, columns).
@@ -290,7 +289,7 @@ def interpolate_heights(fields: Array, index: Array, place: Array, x: np.ndarray
 def make_step_share_metric(
     count: Callable[[ModelTick], Array], column: str, meaning: str, needs: tuple[str, ...] = ()
 ) -> Metric[Array]:
-    """Make a metric for the share of physics steps in which a condition holds.
+    """Make a metric: the share of physics steps in which a given condition holds.
 
     Args:
         count: Number of the steps of a report in which it holds, (n,).
@@ -308,7 +307,7 @@ def make_step_share_metric(
 
 
 def sum_share_at_limit(values: Array, limits: Array) -> Array:
-    """Return the share of values at an end of their range, summed over steps.
+    """Return the share of values (joints or actuators) at an end of their range, summed over physics steps.
 
     Args:
         values: Numbers (n, s, k).

@@ -26,7 +26,7 @@ SCRIPT_OPSET = 17  # version of ONNX's operators that TorchScript is converted t
 
 
 def read_torch_network(name: str, file: Path) -> Network:
-    """Read a network from a file of PyTorch, or from the cache if the file has not changed.
+    """Read a neural network from a PyTorch file, or from the cache if the file has not changed.
 
     Args:
         name: The name that messages give, such as `walk.pt`.

@@ -19,13 +19,13 @@ COLUMNS = {
 
 
 def tracking_columns(names: Sequence[str]) -> dict[str, str]:
-    """Return the meanings of the columns that tracked commands have, by column."""
+    """Return the meanings of the columns with velocity-tracking errors, by column."""
     linear, yaw = {"velocity_x", "velocity_y"} & {*names}, "yaw_rate" in names
     return {name: meaning for name, meaning in COLUMNS.items() if (linear if name == SPEED else yaw)}
 
 
 class VelocityTracking:
-    """State of the tracking metric of one rollout: sums of squared velocity errors.
+    """State of the velocity-tracking metric of one rollout: sums of squared errors.
 
     Args:
         model: The model, whose first free joint is the base.
@@ -43,7 +43,7 @@ class VelocityTracking:
         return jnp.zeros(3)
 
     def update(self, total: Array, belief: Mapping[str, Any], state: Mapping[str, Array]) -> Array:
-        """Add the squared velocity errors of a tick.
+        """Add the squared errors (commanded minus measured velocity) of a tick.
 
         Args:
             total: Sums so far (3,).
@@ -57,6 +57,6 @@ class VelocityTracking:
         return total + jnp.stack([jnp.asarray(x, total.dtype) for x in (linear, error.get("yaw_rate", 0.0), 1.0)])
 
     def compute(self, total: Array) -> dict[str, Array]:
-        """Return the velocity-tracking columns of a rollout."""
+        """Return the velocity-tracking errors of a rollout, by column."""
         mean = jnp.sqrt(total[:2] / jnp.maximum(total[2], 1.0))
         return {name: mean[k] for k, name in enumerate(COLUMNS) if name in tracking_columns(self._commands)}

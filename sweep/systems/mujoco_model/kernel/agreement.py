@@ -21,7 +21,7 @@ SEED = 20
 
 
 class Agreement(NamedTuple):
-    """Relative differences of accelerations from C MuJoCo's, in states all of whose contacts the kernel simulates."""
+    """Relative differences between the kernel's and C MuJoCo's accelerations in random states."""
 
     states: int
     in_contact: int
@@ -35,7 +35,7 @@ class Agreement(NamedTuple):
         )
 
     def require(self, model: str) -> None:
-        """Raise `InputError` if the kernel's accelerations differ from C MuJoCo's by more than allowed."""
+        """Raise `InputError` if the kernel's accelerations differ too much from those of C MuJoCo."""
         if not self.largest <= ALLOWED:
             raise InputError(
                 f"engine.name = kernel is not allowed for {model}: {self}, {ALLOWED:g} is allowed (engine=native)"
@@ -103,7 +103,7 @@ def _strict(model: mujoco.MjModel) -> mujoco.MjModel:
 
 
 def compare_accelerations(layout: RobotLayout, model: mujoco.MjModel, keyframe: int, count: int = STATES) -> Agreement:
-    """Compare accelerations of random states with those of `mj_forward`, in double precision by NumPy.
+    """Compare the kernel's accelerations in random states with those of MuJoCo's `mj_forward`, in double precision.
 
     Args:
         layout: Stacks of like bodies of the robot.

@@ -68,7 +68,7 @@ class CandidatePoint(NamedTuple):
 
 
 class PlaneContacts(NamedTuple):
-    """Contacts of like points with a plane: frame, inverse regularization, and reference acceleration."""
+    """Contacts of corresponding points of all limbs with a plane: frame, friction and reference acceleration."""
 
     point: CandidatePoint
     at: Vector  # from the base's origin
@@ -80,12 +80,12 @@ class PlaneContacts(NamedTuple):
 
     @property
     def dim(self) -> int:
-        """Number of dimensions: 1, 3, 4 or 6."""
+        """Number of constraint dimensions of each contact (MuJoCo's condim): 1, 3, 4 or 6."""
         return len(self.friction) + 1
 
 
 class JointRow(NamedTuple):
-    """Constraint row for one joint of each limb: a range limit, or joint friction.
+    """Constraint row for corresponding joints of all limbs: a range limit, or joint friction.
 
     Or on that of the base in one direction: the friction of the free joint.
     """
@@ -99,7 +99,7 @@ class JointRow(NamedTuple):
 
 
 class Constraints(NamedTuple):
-    """All constraints that act in a state: contacts and joint rows."""
+    """All constraints that act on the robot in a state: contacts with planes, joint limits, joint friction."""
 
     contacts: tuple[PlaneContacts, ...]
     rows: tuple[JointRow, ...]
@@ -174,7 +174,7 @@ def _pack(singles: list[CandidatePoint], group: int) -> list[CandidatePoint]:
 def find_contacts(
     layout: RobotLayout, numbers: ModelNumbers, state: RobotState, smooth: SmoothTerms
 ) -> list[PlaneContacts]:
-    """Compute the contacts of a state with all planes; separated points have zero weight."""
+    """Compute the contacts of the robot with all planes in a state; points above a plane have zero weight."""
     found = []
     for plane in layout.planes:
         normal, start = known_vector(plane.normal), locate_plane(numbers, plane)
@@ -194,7 +194,7 @@ def find_contacts(
 
 
 def locate_plane(numbers: ModelNumbers, plane: CollisionPlane) -> Vector:
-    """Return a point of a plane in the world (m), which may differ between rollouts."""
+    """Return a point (m, world axes) of a plane, whose height may differ between rollouts."""
     if numbers.model.geom_bodyid[plane.geom]:
         return known_vector(plane.position)
     return numbers.vector("geom_pos", np.array([plane.geom]))
@@ -271,7 +271,7 @@ def _find_law(numbers: ModelNumbers, geoms: np.ndarray, plane: int) -> tuple[Con
 
 
 def contact_components(frame: Any, linear: Vector, angular: Vector, dim: int) -> tuple[Scalar, ...]:
-    """Return the components of a motion at a contact.
+    """Return the components of linear and angular motion along the axes of a contact's frame.
 
     Args:
         frame: Normal and tangents.
@@ -316,7 +316,7 @@ def _mix(
 
 
 def make_constraint_law(numbers: ModelNumbers, reference: list[Scalar], impedance: list[Scalar]) -> ConstraintLaw:
-    """Make a constraint law from MuJoCo's `solref` and `solimp`."""
+    """Make stiffness, damping and impedance of a constraint from MuJoCo's `solref` and `solimp`."""
     least, top, middle = (clip(impedance[k], 1e-4, 0.9999) for k in (0, 1, 3))
     width, power = largest(impedance[2], TINY), impedance[4]
     if not (middle.is_known and power.is_known and reference[0].is_known):
@@ -339,7 +339,7 @@ def _same(number: Scalar) -> float:
 
 
 def compute_impedance(law: ConstraintLaw, depth: Scalar) -> Scalar:
-    """Return a constraint's impedance at a depth (m), as MuJoCo's `getimpedance`."""
+    """Return a constraint's impedance at a penetration depth (m), by the formula of MuJoCo's `getimpedance`."""
     least, top, width, middle, power = law.impedance
     if (top - least).is_exactly(0):
         return least
@@ -353,7 +353,7 @@ def compute_impedance(law: ConstraintLaw, depth: Scalar) -> Scalar:
 
 
 def find_joint_rows(layout: RobotLayout, numbers: ModelNumbers, state: RobotState) -> list[JointRow]:
-    """Compute the constraint rows of all joints that have limits or friction."""
+    """Compute the constraints of all joints that have range limits or friction."""
     model, found = numbers.model, _find_base_friction(layout, numbers, state)
     for joint in layout.joints:
         ids = layout.stacks[joint[0]].joints[joint[1]]
@@ -412,14 +412,14 @@ def _joint_law(numbers: ModelNumbers, kind: str, ids: np.ndarray) -> ConstraintL
 
 
 class Curve(NamedTuple):
-    """Second derivative of a row's cost in world axes: forces and moments at the contact per unit of its motion."""
+    """Second derivative (Hessian) of a contact's cost: force and moment per unit of motion, world axes."""
 
     linear: Symmetric  # force by linear motion
     mixed: tuple[Vector, Vector, Vector] | None  # force by angular motion, by rows; None for condim 1 and 3
     angular: Symmetric  # moment by angular motion
 
     def push(self, motion: SpatialVector) -> SpatialVector:
-        """Return force and moment at the contact by the motion of its point and its angular motion."""
+        """Return the product of the Hessian and a motion of the contact: force and moment."""
         force = self.linear @ motion.linear
         if self.mixed is None:
             return SpatialVector(force, NOTHING)
@@ -467,7 +467,7 @@ def _sticking_weights(contact: PlaneContacts) -> list[Scalar]:
 
 
 def contact_force(contact: PlaneContacts, residual: tuple[Scalar, ...], is_elliptic: bool) -> tuple[Scalar, ...]:
-    """Return the forces of a row of contacts, in N, and moments, in N m.
+    """Return the forces (N) and moments (N m) of contacts, along the axes of the contact frame.
 
     Args:
         contact: The row of contacts.
@@ -494,7 +494,7 @@ def contact_force(contact: PlaneContacts, residual: tuple[Scalar, ...], is_ellip
 
 
 def contact_curve(contact: PlaneContacts, residual: tuple[Scalar, ...], is_elliptic: bool) -> Curve:
-    """Return the second derivative of the cost of a row of contacts, see `contact_force`."""
+    """Return the second derivative (Hessian) of the cost of contacts with respect to their motion."""
     weight, dim = contact.weight, contact.dim
     lower = [[ZERO] * (i + 1) for i in range(dim)]  # in the contact's frame
     if dim == 1:
@@ -555,7 +555,7 @@ def _edges(contact: PlaneContacts, residual: tuple[Scalar, ...]) -> list[tuple[S
 
 
 class ContactLine(NamedTuple):
-    """The cost of a row of contacts along a change of its residual."""
+    """Cost of contacts along a search direction, for the line search of the constraint solver."""
 
     contact: PlaneContacts
     edges: list[tuple[Scalar, Scalar]]  # residual and its change, of the normal or of all edges of a pyramid
@@ -563,7 +563,7 @@ class ContactLine(NamedTuple):
     slip: tuple[Scalar, Scalar, Scalar] | None  # square of the slip by the powers of the length, half of the middle one
 
     def slopes(self, length: Scalar) -> tuple[Scalar, Scalar]:
-        """Return first and second derivative of the cost at a length."""
+        """Return first and second derivative of the cost at a step length along the search direction."""
         first, second, weight = ZERO, ZERO, self.contact.weight
         if self.normal is None or self.slip is None:
             for start, change in self.edges:
@@ -590,7 +590,7 @@ class ContactLine(NamedTuple):
 def contact_cost_line(
     contact: PlaneContacts, residual: tuple[Scalar, ...], change: tuple[Scalar, ...], is_elliptic: bool
 ) -> ContactLine:
-    """Return the cost of a row of contacts along a change of its residual."""
+    """Return the cost of contacts along a search direction, which changes their residuals by `change` per unit."""
     if contact.dim == 1:
         return ContactLine(contact, [(residual[0], change[0])], None, None)
     if not is_elliptic:
@@ -604,7 +604,7 @@ def contact_cost_line(
 
 
 def joint_row_force(row: JointRow, residual: Scalar) -> tuple[Scalar, Scalar]:
-    """Return the force of a joint's constraint row, and the second derivative of its cost."""
+    """Return the force of a joint's limit or friction constraint, and the second derivative of its cost."""
     if row.most is None:
         inside = residual < ZERO
         return -(row.weight * smallest(residual, ZERO)), where(inside, row.weight, ZERO)
@@ -614,7 +614,7 @@ def joint_row_force(row: JointRow, residual: Scalar) -> tuple[Scalar, Scalar]:
 
 
 def contact_wrench(contact: PlaneContacts, force: tuple[Scalar, ...]) -> SpatialVector:
-    """Return the wrench on the body of forces and moments in the contact's frame."""
+    """Return the force and moment that a contact exerts on the body, from components in the contact's frame."""
     parts = [NOTHING, NOTHING]
     for k, one in enumerate(force):
         parts[k // 3] = parts[k // 3] + contact.frame[k % 3] * one

@@ -45,7 +45,7 @@ CYLINDER, ELLIPSOID = int(GEOM.mjGEOM_CYLINDER), int(GEOM.mjGEOM_ELLIPSOID)
 
 
 class EnclosingHull(NamedTuple):
-    """A capsule or a box that encloses a geom, in the body's axes."""
+    """Capsule or box that encloses a geom, in the axes of the geom's body."""
 
     stack: int
     member: int
@@ -64,7 +64,7 @@ def find_unsimulated_pairs(model: mujoco.MjModel) -> list[tuple[int, int]]:
 
 
 def enclose_geom(layout: RobotLayout, model: mujoco.MjModel, geom: int) -> EnclosingHull:
-    """Return a capsule or a box that encloses a geom of the robot."""
+    """Return a capsule or a box that encloses a geom of the robot, in the axes of its body."""
     stack, member = find_stack_of_body(layout, int(model.geom_bodyid[geom]))
     kind, size = int(model.geom_type[geom]), model.geom_size[geom]
     axes, place = rotation_matrix(model.geom_quat[geom]), model.geom_pos[geom].copy()
@@ -90,7 +90,7 @@ def as_capsule(hull: EnclosingHull) -> EnclosingHull:
 def has_near_pair(
     layout: RobotLayout, numbers: ModelNumbers, state: RobotState, smooth: SmoothTerms, pairs: list[tuple[int, int]]
 ) -> Bool[Array, ""]:
-    """Return whether any of the geom pairs touches, or nearly so.
+    """Return whether any of the given pairs of geoms touches or nearly touches in a state.
 
     Args:
         layout: Stacks of like bodies of the robot.

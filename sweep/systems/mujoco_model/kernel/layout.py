@@ -44,7 +44,7 @@ FEW = 2  # bodies of a stack, at least
 
 
 class BodyStack(NamedTuple):
-    """Corresponding bodies of all limbs, computed together by array operations; or a single body."""
+    """Corresponding bodies of all limbs (such as all shins), computed together as arrays; or a single body."""
 
     bodies: np.ndarray  # (n,) ids
     parent: int  # index of the stack that holds their parents; -1 for the world's
@@ -53,7 +53,7 @@ class BodyStack(NamedTuple):
 
     @property
     def n(self) -> int:
-        """Number of bodies."""
+        """Number of bodies in the stack (corresponding bodies of all limbs)."""
         return len(self.bodies)
 
 
@@ -66,7 +66,7 @@ class CollisionPlane(NamedTuple):
 
 
 class RobotLayout(NamedTuple):
-    """The stacks of corresponding bodies in a model, each after that of its parents; the first is the base."""
+    """Bodies of a model, grouped into stacks of corresponding limb bodies, parents before children, the base first."""
 
     stacks: tuple[BodyStack, ...]
     group: int  # bodies of a stack
@@ -74,22 +74,22 @@ class RobotLayout(NamedTuple):
     planes: tuple[CollisionPlane, ...]
 
     def free_dofs(self, model: mujoco.MjModel) -> np.ndarray:
-        """Return the degrees of freedom (6,) of the free joint, (0,) for a fixed base: linear ones, then angular."""
+        """Return the indices (6,) of the base's free degrees of freedom, linear then angular; (0,) for a fixed base."""
         if not self.has_free_base:
             return np.zeros(0, int)
         return int(model.body_dofadr[self.stacks[0].bodies[0]]) + np.arange(6)
 
     @property
     def joints(self) -> list[tuple[int, int]]:
-        """All joints from the base outward, as index of the stack and number of the joint in it."""
+        """All joints from the base outward, as index of the stack (corresponding bodies) and joint number in it."""
         return [(s, k) for s, stack in enumerate(self.stacks) for k in range(len(stack.joints))]
 
     def moving_joints(self, stack: int) -> list[tuple[int, int]]:
-        """Return the joints that move the bodies of a stack, from the base outward."""
+        """Return the joints between the base and the bodies of a stack, from the base outward."""
         return [(s, k) for s in self.ancestors(stack) for k in range(len(self.stacks[s].joints))]
 
     def ancestors(self, stack: int) -> list[int]:
-        """Return the stacks from the base to `stack`, which is the last."""
+        """Return the indices of the stacks on the way from the base to `stack`, the last of them."""
         found = [stack]
         while self.stacks[found[0]].parent >= 0:
             found.insert(0, self.stacks[found[0]].parent)
@@ -169,7 +169,7 @@ def find_layout(model: mujoco.MjModel) -> RobotLayout:
 
 
 def find_stack_of_body(layout: RobotLayout, body: int) -> tuple[int, int]:
-    """Return the stack that contains a body, and its index there. Raises `InputError` for bodies outside the robot."""
+    """Return the stack (corresponding limb bodies) of a body, and its index there. Raises `InputError` without one."""
     for s, stack in enumerate(layout.stacks):
         found = np.flatnonzero(stack.bodies == body)
         if len(found):
@@ -190,7 +190,7 @@ def find_planes(model: mujoco.MjModel) -> tuple[CollisionPlane, ...]:
 
 
 def find_pair_ids(model: mujoco.MjModel, geoms: np.ndarray, plane: int) -> np.ndarray | None:
-    """Return the explicit contact pairs of like geoms with a plane.
+    """Return the ids of the explicit MuJoCo contact pairs between corresponding geoms and a plane.
 
     Args:
         model: The model.

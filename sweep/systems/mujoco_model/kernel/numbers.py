@@ -11,7 +11,7 @@ from sweep.systems.mujoco_model.kernel.scalars import Scalar, Vector, largest, q
 
 
 class ModelNumbers:
-    """Access to the numbers of one rollout's model: constants, or values that differ between rollouts.
+    """Access to the numbers of one rollout's model: constants, or values that differ between the rollouts of a batch.
 
     Args:
         model: The nominal model.
@@ -24,7 +24,7 @@ class ModelNumbers:
         self.read: set[str] = set()  # fields that were asked for
 
     def get(self, name: str, ids: np.ndarray | None = None, *component: int) -> Scalar:
-        """Return a model field for some elements, or a number of the simulation options.
+        """Return the values of a model field for some elements, or a simulation option, as a `Scalar`.
 
         Args:
             name: MuJoCo's name of the field.
@@ -42,15 +42,15 @@ class ModelNumbers:
         return name in self._varied and bool(np.any(self._varied[name][place]))
 
     def vector(self, name: str, ids: np.ndarray | None = None) -> Vector:
-        """Return the first three numbers of a model field as a vector."""
+        """Return the first three numbers of a model field for some elements as a vector."""
         return Vector(*(self.get(name, ids, k) for k in range(3)))
 
     def is_used(self, name: str, ids: np.ndarray) -> bool:
-        """Return whether any number of a model field may differ from 0."""
+        """Return whether a model field may have a number other than 0 for some elements."""
         return self._differs(name, ids) or bool(np.any(fields.field_values(self.model, name)[ids]))
 
     def rotation(self, name: str, ids: np.ndarray) -> tuple[Vector, Vector, Vector] | None:
-        """Return the columns of the rotation matrices of quaternions; None for no rotation."""
+        """Return the columns of the rotation matrices of quaternions in a model field; None if they do not rotate."""
         if self._differs(name, ids):
             w, x, y, z = (self.get(name, ids, k) for k in range(4))
             return quaternion_axes(w, x, y, z)
@@ -66,7 +66,7 @@ class ModelNumbers:
 
 
 def raise_to_power(base: Scalar, exponent: float) -> Scalar:
-    """Return a number raised to a constant power."""
+    """Return a number of the kernel's program raised to a constant power."""
     if exponent == int(exponent):
         found = base
         for _ in range(int(exponent) - 1):

@@ -19,7 +19,7 @@ Operand = Union["Scalar", float, int]
 
 
 class Scalar:
-    """A number in the kernel's program: a known constant, or computed in each rollout."""
+    """A number in the kernel's program: a constant known at compile time, or a value computed in each rollout."""
 
     __slots__ = ("value",)
     __array_ufunc__ = None
@@ -33,16 +33,16 @@ class Scalar:
 
     @property
     def is_known(self) -> bool:
-        """Whether the number is known when the program is made."""
+        """Whether the number is a constant known at compile time."""
         return isinstance(self.value, (float, np.ndarray))
 
     def is_exactly(self, number: float) -> bool:
-        """Return whether the number is the known constant `number`."""
+        """Return whether the number is a compile-time constant equal to `number`."""
         return isinstance(self.value, float) and self.value == number
 
     @property
     def is_stack(self) -> bool:
-        """Whether the number differs among the bodies of a stack."""
+        """Whether the number differs between the bodies of a stack (corresponding bodies of all limbs)."""
         return getattr(self.value, "ndim", 0) == 1
 
     def __add__(self, other: Operand) -> "Scalar":
@@ -95,11 +95,11 @@ class Scalar:
         return _apply(lambda a, b: a < b, self, as_scalar(other))
 
     def member(self, k: int) -> "Scalar":
-        """Return the value for one body of a stack."""
+        """Return the number's value for body `k` of a stack (corresponding bodies of all limbs)."""
         return Scalar(self.value[k]) if self.is_stack else self
 
     def total(self, n: int) -> "Scalar":
-        """Sum over the n bodies of a stack."""
+        """Return the sum of the number over the n bodies of a stack (corresponding bodies of all limbs)."""
         if self.is_stack:
             return Scalar(self.value.sum())
         return self * n
@@ -109,7 +109,7 @@ ZERO, ONE = Scalar(0.0), Scalar(1.0)
 
 
 def as_scalar(value: Operand) -> Scalar:
-    """Make a number a `Scalar`."""
+    """Convert a number or array to a `Scalar` of the kernel's program."""
     return value if isinstance(value, Scalar) else Scalar(value)
 
 
@@ -122,7 +122,7 @@ def _apply(function: Callable[..., Any], *numbers: Scalar) -> Any:
 
 
 def where(condition: Any, one: Operand, other: Operand) -> Scalar:
-    """Choose between two numbers by a condition that is computed in each rollout, or known."""
+    """Return `one` where a condition holds, else `other`; the condition may be known at compile time or computed."""
     one, other = as_scalar(one), as_scalar(other)
     if isinstance(condition, (bool, np.bool_)):
         return one if condition else other
@@ -135,29 +135,29 @@ def where(condition: Any, one: Operand, other: Operand) -> Scalar:
 
 
 def smallest(one: Operand, other: Operand) -> Scalar:
-    """Return the smaller of two numbers."""
+    """Return the smaller of two numbers of the kernel's program."""
     one, other = as_scalar(one), as_scalar(other)
     return Scalar(_apply(np.minimum if one.is_known and other.is_known else jnp.minimum, one, other))
 
 
 def largest(one: Operand, other: Operand) -> Scalar:
-    """Return the larger of two numbers."""
+    """Return the larger of two numbers of the kernel's program."""
     return -smallest(-as_scalar(one), -as_scalar(other))
 
 
 def clip(number: Operand, low: Operand, high: Operand) -> Scalar:
-    """Return a number within bounds."""
+    """Return a number of the kernel's program, limited to the range from `low` to `high`."""
     return smallest(largest(number, low), high)
 
 
 def square_root(number: Operand) -> Scalar:
-    """Return the square root."""
+    """Return the square root of a number of the kernel's program."""
     number = as_scalar(number)
     return Scalar(np.sqrt(number.value) if number.is_known else jnp.sqrt(number.value))
 
 
 class Vector(NamedTuple):
-    """A 3-vector of scalars that fold constants, unlike the arrays of `sweep.core.vectors.Vector`."""
+    """A 3-vector of numbers in the kernel's program, with constants folded at compile time."""
 
     x: Scalar
     y: Scalar
@@ -178,15 +178,15 @@ class Vector(NamedTuple):
         return Vector(*(-a for a in self))
 
     def member(self, k: int) -> "Vector":
-        """Return the vector of one body of a stack."""
+        """Return the vector of body `k` of a stack (corresponding bodies of all limbs)."""
         return Vector(*(one.member(k) for one in self))
 
     def dot(self, other: "Vector") -> Scalar:
-        """Return the scalar product."""
+        """Return the scalar product with another vector."""
         return self.x * other.x + self.y * other.y + self.z * other.z
 
     def cross(self, other: "Vector") -> "Vector":
-        """Return the vector product, `other` on the right."""
+        """Return the vector product self x other."""
         return Vector(
             self.y * other.z - self.z * other.y,
             self.z * other.x - self.x * other.z,
@@ -198,7 +198,7 @@ NOTHING = Vector(ZERO, ZERO, ZERO)
 
 
 class Symmetric(NamedTuple):
-    """A symmetric 3x3 matrix of scalars."""
+    """A symmetric 3x3 matrix of numbers in the kernel's program."""
 
     xx: Scalar
     yy: Scalar
@@ -215,7 +215,7 @@ class Symmetric(NamedTuple):
 
     @property
     def rows(self) -> tuple[Vector, Vector, Vector]:
-        """The three rows."""
+        """The three rows of the symmetric matrix."""
         return Vector(self.xx, self.xy, self.xz), Vector(self.xy, self.yy, self.yz), Vector(self.xz, self.yz, self.zz)
 
 
@@ -223,7 +223,7 @@ NO_MATRIX = Symmetric(*[ZERO] * 6)
 
 
 def as_symmetric(rows: Sequence[Vector]) -> Symmetric:
-    """Make a symmetric matrix of the rows of a matrix that is symmetric but for rounding."""
+    """Convert a matrix (3, 3) that is symmetric except for rounding errors to a symmetric one."""
     return Symmetric(rows[0].x, rows[1].y, rows[2].z, rows[1].x, rows[2].x, rows[2].y)
 
 
@@ -240,7 +240,7 @@ def outer_product(v: Vector, factor: Operand) -> Symmetric:
 
 
 def rotation_matrix(quat: np.ndarray) -> np.ndarray:
-    """Return the matrix (3, 3) of a known unit quaternion; what is 0 but for rounding is 0, so that it folds."""
+    """Return the rotation matrix (3, 3) of a constant unit quaternion, with rounding errors of zeros removed."""
     matrix = np.zeros(9)
     mujoco.mju_quat2Mat(matrix, quat)
     matrix[np.abs(matrix) < 1e-15] = 0
@@ -248,7 +248,7 @@ def rotation_matrix(quat: np.ndarray) -> np.ndarray:
 
 
 def known_vector(values: np.ndarray) -> Vector:
-    """Return a vector (3,) that is known when the program is made."""
+    """Return a vector (3,) of constants known at compile time."""
     return Vector(*(Scalar(float(x)) for x in values))
 
 
@@ -266,7 +266,7 @@ def rotate_back(axes: Axes, v: Vector) -> Vector:
 
 
 def quaternion_axes(w: Scalar, x: Scalar, y: Scalar, z: Scalar) -> Axes:
-    """Return the axes of a body of a unit quaternion (w, x, y, z), body to world."""
+    """Return the axes of a body (columns of its rotation matrix, body to world) from a unit quaternion (w, x, y, z)."""
     return (
         Vector(1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
         Vector(2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
@@ -318,12 +318,12 @@ def rotation_quaternion(axis: Vector, angle: Scalar) -> tuple[Scalar, ...]:
 
 
 def stack_values(numbers: list[Scalar], dtype: Any) -> Array:
-    """Join numbers of single bodies to an array (k,)."""
+    """Join the numbers of k single bodies to an array (k,)."""
     return jnp.stack([jnp.asarray(one.value, dtype) for one in numbers])
 
 
 def flatten_scalars(tree: Any) -> tuple[list[Any], Callable[[list[Any]], Any]]:
-    """Flatten a tree of scalars.
+    """Flatten a tree of the kernel's numbers to a list; return it and a function that restores the tree.
 
     Returns:
         The values, and a function that makes the tree of other values.

@@ -95,7 +95,7 @@ class Frame:
 
     @property
     def quat(self) -> tuple[Scalar, ...]:
-        """Orientation of the frame, computed only for frames of the base."""
+        """Orientation (w, x, y, z) of the frame in the world; used only for frames of the base."""
         numbers, found, joints = self._numbers, tuple(self._state.quat), self._state.angles
         for s in self._layout.ancestors(self._stack):
             stack = self._layout.stacks[s]
@@ -120,7 +120,7 @@ def compute_sensors(
     result: StepResult,
     wanted: Container[int] | None = None,
 ) -> list[Scalar]:
-    """Compute the sensors of a state.
+    """Compute the values of MuJoCo's sensors in a state of the robot.
 
     Args:
         layout: Stacks of like bodies of the robot.

@@ -28,7 +28,7 @@ UPRIGHT: Axes = (Vector(ONE, ZERO, ZERO), Vector(ZERO, ONE, ZERO), Vector(ZERO, 
 
 
 class SpatialVector(NamedTuple):
-    """Velocity and angular velocity of a body, or force and moment, referred to the base's origin."""
+    """Linear and angular velocity of a body, or force and moment on it, referred to the origin of the robot's base."""
 
     linear: Vector
     angular: Vector
@@ -43,15 +43,15 @@ class SpatialVector(NamedTuple):
         return SpatialVector(self.linear * factor, self.angular * factor)
 
     def dot(self, other: "SpatialVector") -> Scalar:
-        """Return the scalar product of motion and force, the power."""
+        """Return the scalar product of a motion and a force, which is power."""
         return self.linear.dot(other.linear) + self.angular.dot(other.angular)
 
     def velocity_at(self, point: Vector) -> Vector:
-        """Return the velocity of a point of the body that has this motion."""
+        """Return the velocity of a point of the body that moves with this linear and angular velocity."""
         return self.linear + self.angular.cross(point)
 
     def total(self, n: int) -> "SpatialVector":
-        """Sum over a stack of n bodies."""
+        """Return the sum of these vectors over the n bodies of a stack (corresponding bodies of all limbs)."""
         return SpatialVector(*(Vector(*(one.total(n) for one in part)) for part in self))
 
 
@@ -59,12 +59,12 @@ STILL = SpatialVector(NOTHING, NOTHING)
 
 
 def wrench_at(point: Vector, force: Vector) -> SpatialVector:
-    """Return a force at a point, with its moment about the origin."""
+    """Return a force that acts at a point, together with its moment about the base's origin."""
     return SpatialVector(force, point.cross(force))
 
 
 class RigidInertia(NamedTuple):
-    """Mass (kg), first moment (kg m) and inertia (kg m^2) about the origin."""
+    """Mass (kg), first moment (kg m) and inertia (kg m^2) of a body about the origin of the robot's base."""
 
     mass: Scalar
     moment: Vector
@@ -74,14 +74,14 @@ class RigidInertia(NamedTuple):
         return RigidInertia(self.mass + other.mass, self.moment + other.moment, self.inertia + other.inertia)
 
     def momentum(self, motion: SpatialVector) -> SpatialVector:
-        """Return the momentum of the body at a motion."""
+        """Return the linear and angular momentum of the body that has the given motion."""
         return SpatialVector(
             motion.linear * self.mass + motion.angular.cross(self.moment),
             self.moment.cross(motion.linear) + self.inertia @ motion.angular,
         )
 
     def total(self, n: int) -> "RigidInertia":
-        """Sum over a stack of n bodies."""
+        """Return the sum of inertias over the n bodies of a stack (corresponding bodies of all limbs)."""
         return RigidInertia(
             self.mass.total(n),
             Vector(*(one.total(n) for one in self.moment)),
@@ -93,7 +93,7 @@ NO_INERTIA = RigidInertia(ZERO, NOTHING, NO_MATRIX)
 
 
 class BodyPose(NamedTuple):
-    """Position, axes and motion of the bodies in a stack."""
+    """Positions, axes and motions of the bodies in a stack (corresponding bodies of all limbs)."""
 
     origin: Vector  # from the base's origin
     axes: Axes
@@ -104,7 +104,7 @@ class BodyPose(NamedTuple):
 
 
 class SmoothTerms(NamedTuple):
-    """Kinematics, mass matrix and bias forces of a state, without constraints."""
+    """Kinematics, mass matrix and bias forces of the robot in a state, without constraints."""
 
     places: tuple[BodyPose, ...]  # by stack
     motions: dict[tuple[int, int], SpatialVector]  # of each joint per unit of its rate
@@ -116,7 +116,7 @@ class SmoothTerms(NamedTuple):
 
 
 class RobotState(NamedTuple):
-    """State of a robot by base and joints; motions and accelerations are in world axes."""
+    """State of a robot: pose and motion of the base, joint angles and rates, last accelerations; world axes."""
 
     position: Vector  # of the base
     quat: tuple[Scalar, Scalar, Scalar, Scalar]
@@ -128,7 +128,7 @@ class RobotState(NamedTuple):
 
 
 def compute_smooth(layout: RobotLayout, numbers: ModelNumbers, state: RobotState) -> SmoothTerms:
-    """Compute kinematics, mass matrix and bias forces of a state."""
+    """Compute kinematics, mass matrix and bias forces of the robot in a state."""
     gravity = numbers.vector("opt.gravity")
     places: list[BodyPose] = []
     motions, forces, inertias = {}, [], []
@@ -210,7 +210,7 @@ def joints_from_base_to(layout: RobotLayout, joint: tuple[int, int]) -> list[tup
 
 
 def relative_acceleration(spin: Vector, spin_rate: Vector, arm: Vector) -> Vector:
-    """Return the acceleration of a point relative to another point of the same body, from which it is `arm` away."""
+    """Return the acceleration of a point of a body relative to another of its points at distance vector `arm`."""
     return spin_rate.cross(arm) + spin.cross(spin.cross(arm))
 
 

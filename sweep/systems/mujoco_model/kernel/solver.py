@@ -61,7 +61,7 @@ class Acceleration(NamedTuple):
 
 
 class Residuals(NamedTuple):
-    """Acceleration residuals of all contacts and joint rows."""
+    """Acceleration along each contact and joint constraint, minus its reference acceleration."""
 
     contacts: tuple[tuple[Scalar, ...], ...]
     rows: tuple[Scalar, ...]
@@ -76,13 +76,13 @@ class Residuals(NamedTuple):
 
 
 class StackTotal:
-    """A sum of numbers over joints; terms of stacks are summed over the stack at the end."""
+    """A sum of numbers of joints; terms that differ between limbs are added up over the limbs at the end."""
 
     def __init__(self, single: Scalar = ZERO):
         self._single, self._stack = single, ZERO
 
     def add(self, number: Scalar, n: int) -> None:
-        """Add a number that each of n bodies has."""
+        """Add a number that occurs once for each of n bodies."""
         if n == 1:
             self._single = self._single + number
         elif number.is_known and not number.is_stack:
@@ -92,12 +92,12 @@ class StackTotal:
 
     @property
     def value(self) -> Scalar:
-        """The sum over all terms that were added."""
+        """The sum of all numbers that were added."""
         return self._single if self._stack.is_exactly(0) else self._single + self._stack.total(1)
 
 
 class StepProblem(NamedTuple):
-    """The equation of a physics step, M a = f + constraint forces, solved by Newton's method."""
+    """The problem of a physics step: accelerations a with M a = f + constraint forces, found by Newton's method."""
 
     layout: RobotLayout
     smooth: SmoothTerms
@@ -105,7 +105,7 @@ class StepProblem(NamedTuple):
     force: Acceleration  # f: all forces but those of constraints
 
     def stack_size(self, joint: Joint) -> int:
-        """Return the number of bodies in the joint's stack."""
+        """Return the number of bodies that have a joint like the given one, one in each limb."""
         return self.layout.stacks[joint[0]].n
 
     def momentum(self, a: Acceleration) -> Acceleration:
@@ -130,7 +130,7 @@ class StepProblem(NamedTuple):
         )
 
     def residuals(self, a: Acceleration, wanted: bool) -> Residuals:
-        """Return the accelerations along all constraints, minus the reference accelerations if `wanted`."""
+        """Return the accelerations along all constraints, minus their reference accelerations if `wanted`."""
         contacts = []
         for one in self.constraints.contacts:
             moved = a.base if self.layout.has_free_base else STILL
@@ -151,7 +151,7 @@ class StepProblem(NamedTuple):
         return Residuals(tuple(contacts), tuple(rows))
 
     def constraint_force(self, residuals: Residuals) -> Acceleration:
-        """Return the generalized forces of all constraints."""
+        """Return the generalized forces that all constraints exert at given residuals."""
         base = [StackTotal() for _ in range(6)]
         joints = {joint: StackTotal() for joint in self.force.joints}
         for one, residual in zip(self.constraints.contacts, residuals.contacts, strict=True):
@@ -183,7 +183,7 @@ class StepProblem(NamedTuple):
         stiff: dict[Joint, Scalar],
         base_rows: Sequence[tuple[SpatialVector, Scalar]] = (),
     ) -> Acceleration:
-        """Solve one linear system of Newton's method, (M + Jᵀ C J + diag) x = right.
+        """Solve the linear system of a Newton step, (M + Jᵀ C J + diag) x = right, with contact Hessians C.
 
         Args:
             right: The right side.
@@ -294,7 +294,7 @@ class StepProblem(NamedTuple):
                 entries[chain[j], joint].add(power, m)
 
     def first_iterate(self, warm: Acceleration) -> "Iterate":
-        """Return the first Newton iterate, at given accelerations."""
+        """Return Newton's first iterate, at the given accelerations `warm` of the last physics step."""
         residuals = self.residuals(warm, wanted=True)
         return self._iterate(warm, self.momentum(warm), residuals)
 
@@ -304,7 +304,7 @@ class StepProblem(NamedTuple):
         return Iterate(acceleration, momentum, residuals, pull, left / (self.norm(self.force) + self.norm(pull)))
 
     def norm(self, force: Acceleration) -> Scalar:
-        """Return the Euclidean norm of generalized forces, one number: forces (N) and torques (N m) count alike."""
+        """Return the Euclidean norm of generalized forces, with forces (N) and torques (N m) counted alike."""
         total = StackTotal()
         if self.layout.has_free_base:
             for x in _parts(force.base):
@@ -314,7 +314,7 @@ class StepProblem(NamedTuple):
         return square_root(total.value)
 
     def next_iterate(self, now: "Iterate") -> "Iterate":
-        """Return the next Newton iterate, after a line search for the step of least cost."""
+        """Return the next Newton iterate, with the step length that a line search finds."""
         is_elliptic = self.constraints.is_elliptic
         curves = [
             contact_curve(one, residual, is_elliptic)
@@ -420,7 +420,7 @@ class StepProblem(NamedTuple):
 
 
 class Iterate(NamedTuple):
-    """An iterate of Newton's method: accelerations, and the quantities that follow from them."""
+    """An iterate of Newton's method for a physics step: accelerations, constraint forces and residuals."""
 
     acceleration: Acceleration
     momentum: Acceleration
@@ -430,7 +430,7 @@ class Iterate(NamedTuple):
 
 
 def solve_problem(problem: StepProblem, warm: Acceleration, iterations: int) -> Iterate:
-    """Return the accelerations of a step, by Newton's method from those of the step before.
+    """Return the accelerations of a physics step, by Newton's method from those of the last step.
 
     Args:
         problem: The equation.

@@ -43,7 +43,7 @@ UNCLAMPED, EXPLICIT = (int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")) for 
 
 
 class ActuatorState(NamedTuple):
-    """Force, length and velocity of the actuators of corresponding joints in a step."""
+    """Force, length and velocity of corresponding actuators of all limbs in a physics step."""
 
     actuators: np.ndarray  # ids (n,)
     force: Scalar  # N or N m, of the actuator
@@ -62,7 +62,7 @@ class StepResult(NamedTuple):
 
 
 class BodyPush(NamedTuple):
-    """An external force in world axes at the centre of mass of one body."""
+    """An external force on one body, at its centre of mass, in world axes."""
 
     stack: int
     member: int
@@ -70,7 +70,7 @@ class BodyPush(NamedTuple):
 
 
 def read_state(layout: RobotLayout, model: mujoco.MjModel, qpos: Array, qvel: Array, warm: Array) -> RobotState:
-    """Make a state of MuJoCo's `qpos` (nq,), `qvel` (nv,) and `qacc_warmstart` (nv,)."""
+    """Convert MuJoCo's `qpos` (nq,), `qvel` (nv,) and `qacc_warmstart` (nv,) to a state of the kernel."""
     angles, rates, before = {}, {}, {}
     for joint in layout.joints:
         ids = layout.stacks[joint[0]].joints[joint[1]]
@@ -93,7 +93,7 @@ def read_state(layout: RobotLayout, model: mujoco.MjModel, qpos: Array, qvel: Ar
 
 
 def write_state(layout: RobotLayout, model: mujoco.MjModel, state: RobotState) -> tuple[Array, Array, Array]:
-    """Make `qpos` (nq,), `qvel` (nv,) and `qacc_warmstart` (nv,) of a state, the inverse of `read_state`."""
+    """Convert a state of the kernel to MuJoCo's `qpos` (nq,), `qvel` (nv,) and `qacc_warmstart` (nv,)."""
     dtype = next(one.value.dtype for one in state.angles.values())
     qpos, qvel, warm = ([ZERO] * size for size in (model.nq, model.nv, model.nv))
     for joint in layout.joints:
@@ -123,7 +123,7 @@ def compute_forces(
     ctrl: Array,
     pushes: tuple[BodyPush, ...],
 ) -> tuple[Acceleration, dict[Joint, Scalar], tuple[ActuatorState, ...]]:
-    """Compute all forces of a step except constraint forces.
+    """Compute all forces of a physics step except constraint forces.
 
     Args:
         layout: Stacks of like bodies of the robot.
@@ -232,7 +232,7 @@ def step(
     pushes: tuple[BodyPush, ...],
     iterations: int,
 ) -> tuple[RobotState, StepResult]:
-    """Advance a state by one physics step.
+    """Advance a robot's state by one physics step.
 
     Args:
         layout: Stacks of like bodies of the robot.

@@ -19,7 +19,7 @@ DERIVED = ("body_invweight0", "dof_invweight0")  # what follows from them, and t
 def find_varied_elements(
     model: mujoco.MjModel, paths: Iterable[str], payloads: tuple[Payload, ...]
 ) -> dict[str, np.ndarray]:
-    """Return which elements of MuJoCo's fields may differ between rollouts.
+    """Return which elements of MuJoCo's model fields may differ between rollouts of a study.
 
     Args:
         model: The model.

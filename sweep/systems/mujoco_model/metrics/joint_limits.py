@@ -4,7 +4,7 @@ from sweep.systems.mujoco_model.tick import Array, ModelTick, make_step_share_me
 
 
 def add_shares_of_joints(ctx: ModelTick) -> Array:
-    """Sum over steps the share of joints that are at an end of their range, (n,)."""
+    """Yield the share of joints (n,) at an end of their range, summed over physics steps."""
     positions = ctx.steps["qpos"][..., ctx.parts.limited_positions]
     return sum_share_at_limit(positions, ctx.limits["jnt_range"][:, ctx.parts.limited_joints])
 

@@ -4,7 +4,7 @@ from sweep.systems.mujoco_model.tick import Array, ModelTick, make_step_share_me
 
 
 def add_shares_of_actuators(ctx: ModelTick) -> Array:
-    """Sum over steps the share of actuators that are at their force limit, (n,)."""
+    """Yield the share of actuators (n,) at their force limit, summed over physics steps."""
     chosen = ctx.parts.force_limited
     return sum_share_at_limit(ctx.steps["actuator_force"][..., chosen], ctx.limits["actuator_forcerange"][:, chosen])
 

@@ -11,8 +11,7 @@ MAX_IMBALANCE_SHARE = 0.01  # share of the forces, up to which those of a step a
 
 @np.errstate(invalid="ignore", over="ignore")
 def is_unbalanced(mass: Array, qacc: Array, smooth: Array, constraint: Array) -> Array:
-    """Return in which steps forces and accelerations are out of balance: M a = f + Jᵀλ fails by more than a small
-    share.
+    """Return in which physics steps forces and accelerations do not balance: M a differs from f + Jᵀλ.
 
     Each component counts by its own inertia, M's diagonal, so that forces and moments are both in √kg m/s². What is
     left over is the gradient of what the solver minimizes, and 0 at its minimum.

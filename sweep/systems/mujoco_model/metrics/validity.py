@@ -7,13 +7,13 @@ from sweep.systems.mujoco_model.tick import Array, ModelRollout, ModelTick
 
 
 def update(state: Array, ctx: ModelTick) -> Array:
-    """Update whether positions and velocities were finite in all steps."""
+    """Update whether all positions and velocities have been finite in all physics steps."""
     total = ctx.steps["qpos"].sum(axis=(1, 2)) + ctx.steps["qvel"].sum(axis=(1, 2))
     return state & array_namespace(total).isfinite(total)
 
 
 def compute(state: Array, rollout: ModelRollout) -> dict[str, Array]:
-    """Return 1 where a rollout is invalid: a number was not finite or a buffer was full."""
+    """Return by column 1 where a rollout is invalid: a number was not finite or a MuJoCo buffer was full."""
     finite = state & np.isfinite(np.stack([*rollout.columns.values()])).all(axis=0) & ~rollout.is_not_finite
     return {"not_finite": (~finite).astype(float), "buffer_full": rollout.is_buffer_full.astype(float)}
 
