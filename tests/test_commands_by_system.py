@@ -10,7 +10,7 @@ from sweep.cli.main import main
 
 PAGE = (Path(__file__).parents[1] / "docs/own_model_reference.md").read_text(encoding="utf-8")
 SYSTEMS = {"the built-in robot": "robot", "your own models": "own"}
-ONLY = dict(re.findall(rf"^\| `([^`]+)` \| ({'|'.join(SYSTEMS)}) \|$", PAGE, re.MULTILINE))  # by subcommand
+ONLY = dict(re.findall(rf"^- `([^`]+)` works for ({'|'.join(SYSTEMS)}) only\.$", PAGE, re.MULTILINE))  # by subcommand
 ROBOT = ["study=walk_map", "study.axes.friction.num=4", "study.axes.step.num=3", "study.expect=[]"]
 OWN = ["study=grip", "model.duration=0.2"]
 DRAWN = {"robot": ("walk_tripod", "contact.friction"), "own": ("own", "model.body.trunk.mass")}

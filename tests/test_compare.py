@@ -78,7 +78,7 @@ def test_pairs_need_one_partner_each():
     assert compare.count_flips(compare.pair_rows(twice, twice[::-1])).pairs == 2  # of equal engines
     with pytest.raises(InputError, match="choose among them with --a"):
         compare.pair_rows(twice.drop(columns="engine.name"), rows_of("s"))
-    with pytest.raises(InputError, match="no row of A"):
+    with pytest.raises(InputError, match="A and B have no rows with equal"):
         compare.pair_rows(a, rows_of("s").assign(point_id="other"))
     with pytest.raises(InputError, match="B has no column"):
         compare.pair_rows(a, rows_of("ss"), ["name"])
@@ -95,7 +95,9 @@ def test_another_controller_is_paired_by_what_both_vary():
     assert comparison.name_pair_columns(compare.pair_rows(a, a)) == ""
     with pytest.raises(InputError, match=r"--by world\.contact\.friction, replicate\)"):
         compare.pair_rows(a, b.assign(replicate=0))
-    with pytest.raises(InputError, match=r"no row of A has .* \(other columns to pair by: none that both vary\)"):
+    with pytest.raises(
+        InputError, match=r"A and B have no rows with equal .* \(other columns to pair by: none that both vary\)"
+    ):
         compare.pair_rows(a, b.rename(columns={"world.contact.friction": "world.robot.shin"}))
 
 

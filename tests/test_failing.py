@@ -80,11 +80,11 @@ def test_weights_undo_where_draws_were_sought():
 
 def test_too_little_is_told():
     u = np.random.default_rng(4).standard_normal((100, 4))
-    with pytest.raises(InputError, match="need 20 failures and successes, here: 3 and 97"):
+    with pytest.raises(InputError, match="need 20 failed and successful draws each, here: 3 and 97"):
         failing.shapley_failure_shares(rows(u, np.arange(100) < 3), told())
     exp = told()
     exp.study.replicates = 10
-    with pytest.raises(InputError, match="need 20 failures and successes, here: 3 and 7"):
+    with pytest.raises(InputError, match="need 20 failed and successful draws each, here: 3 and 7"):
         failing.shapley_failure_shares(rows(u, np.arange(100) < 30), exp)
 
 

@@ -250,7 +250,10 @@ def test_a_part_that_is_repeated_is_its_moves_again_and_again(lab):
             f"{SLOPED}roof: {{pitch: {{base: [far, 0.1]}}}}",
             "plan.roof.pitch.base.ahead = far is not allowed: far is unknown",
         ),
-        (f"{SLOPED}roof: {{pitch: {{base: far}}}}", "plan.roof.pitch.base = far is not allowed: plan.slopes want"),
+        (
+            f"{SLOPED}roof: {{pitch: {{base: far}}}}",
+            "plan.roof.pitch.base = far is not allowed: plan.slopes has a slope for its number",
+        ),
         (
             f"{SLOPED}roof: {{pitch: {{base: [1, 2, 3, 4]}}}}",
             "plan.roof.pitch.base = \\[1.0, 2, 3, 4\\] is not allowed",

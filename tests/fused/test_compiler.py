@@ -403,7 +403,9 @@ def test_the_pages_example_runs_and_its_operations_are_those_of_the_code(capsys)
     exec(sample, names)
     assert names["record"]["sum"].shape == (2, 1)
     assert "define void @run" in capsys.readouterr().out
-    described = " ".join(re.findall(r'"""Extra of (.*?):', Path(fused_program.__file__).read_text(encoding="utf-8")))
+    described = " ".join(
+        re.findall(r'"""Extra data of (.*?):', Path(fused_program.__file__).read_text(encoding="utf-8"))
+    )
     told = set(re.findall(r"`(\w+)`", described))
     with_extra = {n.op for n in walk_block(names["program"].top_block) if isinstance(n, Node) and n.extra is not None}
     assert with_extra
