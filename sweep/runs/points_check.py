@@ -6,11 +6,11 @@ import numpy as np
 import pandas as pd
 
 from sweep.core.errors import InputError
+from sweep.study.size_limits import MAX_ROLLOUTS
 
 KEY_COLUMNS = ["batch", "slot"]  # columns that identify a row of the points table
 INTEGER_COLUMNS = ("replicate", "stream", "group", "batch", "slot", "width")  # with whole numbers
 MAX_BATCHES, MAX_SLOTS = 2**31, 2**32  # upper bounds of batch and slot numbers in a key
-MAX_BATCH_WIDTH = 20_000_000  # rollouts of a batch: as many as a study may have
 
 
 class AssignedPoints:
@@ -34,8 +34,8 @@ class AssignedPoints:
                 raise InputError(f"{name} is not allowed: column {column} holds no whole numbers")
         for column, least, most in (
             ("batch", 0, MAX_BATCHES),
-            ("slot", 0, MAX_BATCH_WIDTH),
-            ("width", 1, MAX_BATCH_WIDTH + 1),
+            ("slot", 0, MAX_ROLLOUTS),
+            ("width", 1, MAX_ROLLOUTS + 1),
         ):
             if column in assigned and len(odd := assigned[column][~assigned[column].between(least, most - 1)]):
                 raise InputError(f"{name} is not allowed: {column} = {odd.iloc[0]}, from {least} to {most - 1}")

@@ -22,7 +22,8 @@ from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.runs import store
 from sweep.runs.runner import Job, prepare_job
-from sweep.study.designs import MAX_ROLLOUTS, Axis, drawn_axis_names
+from sweep.study.designs import Axis, drawn_axis_names
+from sweep.study.size_limits import MAX_ROLLOUTS
 from sweep.study.study import Study, make_points
 
 MISSING_LABEL, INVALID_LABEL, FAILURE_LABEL, SUCCESS_LABEL = -2, -1, 0, 1

@@ -26,7 +26,7 @@ from sweep.runs import manifest
 from sweep.runs.manifest import PARTS_FOLDER, POINTS_FILE, SUBFOLDERS, ManifestEntry
 from sweep.runs.parquet import check_expansion, column_names, decoded_schema, read_parquet
 from sweep.runs.points_check import KEY_COLUMNS, AssignedPoints
-from sweep.study.designs import MAX_ROLLOUTS
+from sweep.study.size_limits import MAX_ROLLOUTS
 
 # reads a million rows in 2 s of CPU time; Arrow's own pool takes 8 s
 pa.set_memory_pool(pa.system_memory_pool())

@@ -29,11 +29,11 @@ from sweep.study.distributions import (
     require_known_keys,
 )
 from sweep.study.distributions import parse_distribution as parse_distribution
+from sweep.study.size_limits import MAX_ROLLOUTS
 
 if TYPE_CHECKING:
     import pandas as pd
 
-MAX_ROLLOUTS = 20_000_000  # rollouts of a study, whose plan takes 10 GB
 AXIS_KEYS = {  # meaning of each key of an axis
     "path": "parameter that varies, such as contact.friction; without it the axis is a number that other axes refer to",
     "side": "world: vary what is simulated; belief: what the planner believes; both (default)",
