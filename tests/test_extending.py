@@ -44,7 +44,7 @@ SAID = {  # by the commands of a page
         "| stairs_climb                | success",
         "plan.up.a.base.above",
     ],
-    OBSTACLE: ["kerb                 A kerb, 0.1 m high", "of the ground beyond the edge"],
+    OBSTACLE: ["kerb                 A step up in level ground", "of the ground beyond the edge"],
     MANOEUVRE: ["| walk_kerb "],
 }
 PAGES = {name: (ROOT / "docs/howto" / f"{name}.md").read_text() for name in SAID}
