@@ -7,7 +7,7 @@ import pandas as pd
 
 from sweep.analysis import sampling_units
 from sweep.analysis.intervals import clopper_pearson
-from sweep.analysis.stats import format_percent, success_rates
+from sweep.analysis.stats import format_percent, success_rates, sum_by_unit
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.core.expressions import find_column
@@ -164,8 +164,7 @@ def count_flips(pairs: pd.DataFrame, unit: np.ndarray | None = None) -> OutcomeF
         return result
     outcome = np.where(lost | gained, "success", np.where(valid, "failure", "invalid"))  # a flip is what is counted
     ends = success_rates(pd.DataFrame({"outcome": outcome}), [], clopper_pearson, unit).iloc[0]
-    _, codes = np.unique(unit, return_inverse=True)
-    difference = np.bincount(codes, lost.astype(int) - gained.astype(int))
+    difference, _ = sum_by_unit(lost.astype(int) - gained.astype(int), unit)
     return replace(
         result, p_value=sign_flip_p(difference.astype(int)), low=float(ends["low"]), high=float(ends["high"])
     )

@@ -15,6 +15,7 @@ import pandas as pd
 from sweep.analysis.compare import holm_adjust, sign_flip_p
 from sweep.analysis.intervals import CONFIDENCE_LEVEL, clopper_pearson, korn_graubard
 from sweep.analysis.sequential import log_e_value
+from sweep.analysis.stats import sum_by_unit
 
 REPETITIONS = 2000  # of the bootstrap
 NOT_DECIDED = "not decided"
@@ -32,23 +33,8 @@ class LeagueRows:
 
     @property
     def unit_count(self) -> int:
-        """Number of independent units (group of dependent rows); 0 if the points are not a random sample."""
+        """Number of independent units (groups of dependent rows); 0 if the points are not a random sample."""
         return 0 if self.unit is None else len(np.unique(self.unit))
-
-
-def sum_by_unit(success: np.ndarray, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sum the successes of each policy over the points of each independent unit (group of dependent rows).
-
-    Args:
-        success: Whether each policy succeeds at each point (n, policies).
-        unit: Independent unit of each point (n,).
-
-    Returns:
-        Successes (u, policies) and points (u,) of each unit.
-    """
-    _, place = np.unique(unit, return_inverse=True)
-    sizes = np.bincount(place)
-    return np.stack([np.bincount(place, one, len(sizes)) for one in success.T], axis=1), sizes
 
 
 def rate_table(league: LeagueRows, level: float = CONFIDENCE_LEVEL) -> pd.DataFrame:
@@ -251,7 +237,7 @@ class Race:
         self.better = np.zeros(shape, bool)
 
     def add_units(self, shares: np.ndarray) -> None:
-        """Add the success rates of independent units (group of dependent rows), and decide pairs of policies.
+        """Add the success rates of independent units (groups of dependent rows), and decide pairs of policies.
 
         Args:
             shares: Success rate of each policy in each unit (u, policies), NaN where it has none.

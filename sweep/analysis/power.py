@@ -22,7 +22,7 @@ from sweep.analysis.intervals import (
 )
 from sweep.analysis.sampling_units import has_draws, independent_unit
 from sweep.analysis.sequential import TEST_POWER, log_e_value
-from sweep.analysis.stats import format_percent
+from sweep.analysis.stats import format_percent, sum_by_unit
 from sweep.core.errors import InputError
 from sweep.study.designs import drawn_axis_names
 from sweep.study.study import Study
@@ -273,8 +273,7 @@ def count_units(success: np.ndarray, unit: np.ndarray, is_even: bool) -> UnitCou
         unit: Its independent unit (n,), see `sampling_units.unit_numbers`.
         is_even: Whether the design spreads the draws of a unit evenly.
     """
-    _, place = np.unique(unit, return_inverse=True)
-    return UnitCounts(np.bincount(place, success), np.bincount(place), is_even)
+    return UnitCounts(*sum_by_unit(success, unit), is_even)
 
 
 def simulated_half_widths(

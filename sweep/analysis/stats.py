@@ -109,6 +109,23 @@ def success_rates(
     return table.assign(valid=valid, share=share, low=low, high=high)
 
 
+def sum_by_unit(values: np.ndarray, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sum values over the rows of each independent unit (group of dependent rows).
+
+    Args:
+        values: Values of each row, (n,) or (n, k).
+        unit: Independent unit of each row (n,).
+
+    Returns:
+        Sums (u,) or (u, k), and the number of rows (u,) of each unit.
+    """
+    _, place = np.unique(unit, return_inverse=True)
+    sizes = np.bincount(place)
+    columns = values.reshape(len(values), -1).T
+    sums = np.stack([np.bincount(place, one, len(sizes)) for one in columns], axis=1)
+    return sums.reshape(len(sizes), *values.shape[1:]), sizes
+
+
 def _ends_by_unit(
     group: np.ndarray,
     unit: np.ndarray,

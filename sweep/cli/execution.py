@@ -158,7 +158,10 @@ def record_study_replays(exp: Experiment, folder: Path, rows: pd.DataFrame) -> N
         rows: All its rows, with the names of their axes.
     """
     if exp.cluster.is_remote:  # this machine may have no device of the workers' kind
-        print(f"sweep: no replays are recorded on a cluster: sweep report {folder} --replays 6", file=sys.stderr)
+        print(
+            f"sweep: no replays are recorded on a cluster: sweep report {folder} --replays {exp.study.replays}",
+            file=sys.stderr,
+        )
         return
     from sweep.report import recording  # imports Matplotlib, which no run waits for before its end
 

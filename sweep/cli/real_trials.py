@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 
 from sweep.analysis import trials as analysis
+from sweep.analysis.intervals import CONFIDENCE_LEVEL
 from sweep.analysis.sampling_units import draw_ids, has_draws
 from sweep.analysis.stats import format_percent
 from sweep.core.distinct_values import has_several_values
@@ -18,6 +19,7 @@ from sweep.runs import results, store
 from sweep.study.study import name_axes, parameter_columns
 
 OUTCOMES = {"success": True, "1": True, "true": True, "failure": False, "0": False, "false": False}
+MIN_EFFECTIVE_DRAWS = 30  # below which updated beliefs are called unreliable
 MATCH_TOLERANCE = 1e-9  # relative, of numbers of conditions that are equal
 
 
@@ -138,7 +140,11 @@ def compare_trials(file: Path, folder: Path, error_rate: float) -> TrialsAnswer:
 def format_trials(found: TrialsAnswer) -> str:
     """Format the comparison of real trials with their predictions as Markdown."""
     own = found.calibration
-    judged = "the predictions are not calibrated" if own.p_value < 0.05 else "no evidence against calibration"
+    judged = (
+        "the predictions are not calibrated"
+        if own.p_value < 1 - CONFIDENCE_LEVEL
+        else "no evidence against calibration"
+    )
     interval = "" if np.isnan(own.brier_low) else f" (95 % interval {own.brier_low:.3f} to {own.brier_high:.3f})"
     lines = [
         f"{own.trials} trials at {len(found.conditions)} conditions: {format_percent(own.observed_rate)} succeed, "
@@ -158,8 +164,11 @@ def format_trials(found: TrialsAnswer) -> str:
             "",
             markdown_table(found.beliefs),
         ]
-        if found.effective_draws < 30:
-            lines += ["", "fewer than 30 effective draws: simulate more draws to see what the trials say"]
+        if found.effective_draws < MIN_EFFECTIVE_DRAWS:
+            lines += [
+                "",
+                f"fewer than {MIN_EFFECTIVE_DRAWS} effective draws: simulate more draws to see what the trials say",
+            ]
     else:
         lines += ["", "beliefs: the study draws no parameter at every condition of the trials"]
     return "\n".join(lines) + "\n"

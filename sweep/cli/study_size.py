@@ -12,7 +12,7 @@ from matplotlib.ticker import NullFormatter
 
 from sweep.analysis import compare, power, sampling_units
 from sweep.analysis.intervals import clopper_pearson, wilson
-from sweep.analysis.stats import format_percent
+from sweep.analysis.stats import format_percent, sum_by_unit
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.core.plot_style import COLUMN_WIDTH_IN, new_figure, save_figure
@@ -235,8 +235,7 @@ def answer_pilot_difference(
     first, second = pairs["outcome"], pairs[f"outcome{compare.SECOND_RUN_MARK}"]
     valid = ((first != "invalid") & (second != "invalid")).to_numpy()
     change = (first == "success").astype(int) - (second == "success").astype(int)
-    _, place = np.unique(unit[valid], return_inverse=True)
-    differences = np.bincount(place, change.to_numpy()[valid]).astype(int)
+    differences = sum_by_unit(change.to_numpy()[valid], unit[valid])[0].astype(int)
     if not differences.sum():
         raise InputError("--pilot: both folders succeed equally often, so that no number of rollouts tells them apart")
     size = power.find_smallest_size(

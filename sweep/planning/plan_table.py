@@ -364,17 +364,18 @@ def plan_parameter(case: Any, path: str) -> "dataclasses.Field[Any]":
 
 def load_shipped_plan(name: str) -> Content:
     """Load a plan file that comes with the package, without its part on how the numbers were found."""
-    return split_searched(_load_shipped_file(name))[0]
+    return _load_shipped_parts(name)[0]
 
 
 def default_searched_ranges(plan_name: str | None) -> Ranges:
     """Return the ranges of robot and obstacle sizes for which a shipped plan was optimized; empty without a file."""
-    return split_searched(_load_shipped_file(plan_name))[1] if plan_name else {}
+    return _load_shipped_parts(plan_name)[1] if plan_name else {}
 
 
 @functools.cache
-def _load_shipped_file(name: str) -> Content:
-    return merge_plan_with_bases(name, lambda other: project.shipped_files(GROUP)[other].read_text(encoding="utf-8"))
+def _load_shipped_parts(name: str) -> tuple[Content, Ranges]:
+    files = project.shipped_files(GROUP)
+    return split_searched(merge_plan_with_bases(name, lambda other: files[other].read_text(encoding="utf-8")))
 
 
 def split_searched(content: Content) -> tuple[Content, Ranges]:

@@ -4,7 +4,16 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from sweep.analysis.league import LeagueRows, Race, better_matrix, condition_table, pair_table, rate_table, standings
+from sweep.analysis.league import (
+    NOT_DECIDED,
+    LeagueRows,
+    Race,
+    better_matrix,
+    condition_table,
+    pair_table,
+    rate_table,
+    standings,
+)
 from sweep.analysis.stats import format_percent
 from sweep.core.plot_style import PAGE_WIDTH_IN, new_figure
 from sweep.report.outcome_style import FAILURE_COLOUR, SUCCESS_COLOUR
@@ -27,16 +36,19 @@ def standings_of(league: LeagueRows, level: float) -> tuple[pd.DataFrame, pd.Dat
     return standings(rates, better_matrix(pairs, league.policies)), pairs
 
 
-def format_league(league: LeagueRows, level: float, unit: str, by: list[str]) -> str:
+def format_league(
+    league: LeagueRows, table: pd.DataFrame, pairs: pd.DataFrame, level: float, unit: str, by: list[str]
+) -> str:
     """Describe the comparison of several policies as Markdown: success rates with ranks, pairs and conditions.
 
     Args:
         league: Outcomes of the policies.
+        table: Sorted policies, see `standings_of`.
+        pairs: Pairs with their verdicts.
         level: Confidence level of all verdicts together, and of all intervals together.
         unit: Plural of the independent unit.
         by: Columns of `league.conditions` whose values are conditions.
     """
-    table, pairs = standings_of(league, level)
     sure = format_percent(level)
     points = f"{len(league.success):,} points"
     lines = [f"{len(league.policies)} policies on the same {points}"]
@@ -51,7 +63,7 @@ def format_league(league: LeagueRows, level: float, unit: str, by: list[str]) ->
     ]
     lines += ["", markdown_table(table), ""]
     if league.unit is not None:
-        decided = int((pairs["verdict"] != "not decided").sum())
+        decided = int((pairs["verdict"] != NOT_DECIDED).sum())
         lines += [
             f"{decided} of {len(pairs)} pairs are decided. With {sure} confidence all verdicts hold together (exact "
             "paired tests, Holm), as do all intervals of rates (Bonferroni) and of differences (max-t bootstrap)",

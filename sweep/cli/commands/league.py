@@ -59,9 +59,11 @@ def run(args: argparse.Namespace) -> int:
         print(policy_race.race_policies(args), end="")
         return DONE
     league, unit, by = policy_race.read_league(args, parse_names(args.by) or [])
-    terminal.print_markdown(report.format_league(league, args.level, unit, by), required=("policy", "share"))
+    table, pairs = report.standings_of(league, args.level)
+    text = report.format_league(league, table, pairs, args.level, unit, by)
+    terminal.print_markdown(text, required=("policy", "share"))
     if args.picture:
-        save_figure(report.draw_league(*report.standings_of(league, args.level)), args.picture)
+        save_figure(report.draw_league(table, pairs), args.picture)
     if args.output:
-        save_output(args.output, report.standings_of(league, args.level)[1].to_csv(index=False).encode())
+        save_output(args.output, pairs.to_csv(index=False).encode())
     return DONE

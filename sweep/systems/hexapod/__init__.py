@@ -221,7 +221,7 @@ class Hexapod:
     def describe_unsearched_values(self, table: "pd.DataFrame", settings: EngineSettings) -> Iterator[str]:
         """Yield a warning for each believed size that leaves the range for which the plan's numbers were optimized."""
         for path, (low, high) in self.searched_ranges.items():
-            values = _of_side(self, table, "belief", path, settings)
+            values = _of_side(self, _select_paths(table, (path,)), "belief", path, settings)
             if values.min() < low or values.max() > high:
                 yield (
                     f"{path} is {_format_ends(values.min(), values.max())}; the numbers of the plan were searched for "

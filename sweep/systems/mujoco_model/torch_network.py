@@ -50,20 +50,17 @@ def _read(name: str, file: Path, changed: int) -> Network:
             raise InputError(f"{error_prefix} needs the package {package}: pip install 'insect-sweep[torch]'")
     torch: Any = importlib.import_module("torch")
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # else it lists packages that it does not need
-    is_script = not name.endswith(EXPORT_SUFFIX)
-    load, how = (
-        (_load_script, "torch.jit.script(policy).save")
-        if is_script
-        else (_load_export, "torch.export.save(torch.export.export(policy, (observation,)), file=")
-    )
+    if name.endswith(EXPORT_SUFFIX):
+        load, holds = _load_export, "program of torch.export"
+        how = f"torch.export.save(torch.export.export(policy, (observation,)), file='{Path(name).name}')"
+    else:
+        load, holds, how = _load_script, "TorchScript", f"torch.jit.script(policy).save('{Path(name).name}')"
     try:
         with warnings.catch_warnings(action="ignore"):
             network, inputs, outputs = load(torch, file)
     except Exception as error:  # of any class, by what the file is in its place
         reason = " ".join(str(error).split())[:120]
-        holds = "TorchScript" if is_script else "program of torch.export"
-        new = f"{how}('{Path(name).name}') writes one" if is_script else f"{how}'{Path(name).name}') writes one"
-        raise InputError(f"{error_prefix} holds no {holds}: {new} ({reason})") from None
+        raise InputError(f"{error_prefix} holds no {holds}: {how} writes one ({reason})") from None
     converted: dict[tuple[tuple[int, ...], ...], Network] = {}
 
     def evaluate(given: Mapping[str, Any]) -> dict[str, Any]:
