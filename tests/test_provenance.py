@@ -134,3 +134,5 @@ def test_a_commit_is_marked_where_what_makes_rows_differs(tmp_path, monkeypatch)
     assert provenance.find_commit.__wrapped__() == plain
     (tmp_path / "conf/study.yaml").write_text("2\n")
     assert provenance.find_commit.__wrapped__() == f"{plain}-dirty"
+    monkeypatch.setenv("PATH", str(tmp_path))  # a machine without git
+    assert provenance.find_commit.__wrapped__() == ""

@@ -234,7 +234,9 @@ def find_commit() -> str:
 
 
 def _git(*words: str) -> str:
-    """Return the output of a git command in the package's folder; empty outside a checkout."""
-    return subprocess.run(
-        ["git", *words], cwd=SOURCE_FOLDER, capture_output=True, text=True, check=False
-    ).stdout.strip()
+    """Return the output of a git command in the package's folder; empty outside a checkout and without git."""
+    try:
+        result = subprocess.run(["git", *words], cwd=SOURCE_FOLDER, capture_output=True, text=True, check=False)
+    except FileNotFoundError:
+        return ""
+    return result.stdout.strip()
