@@ -2,6 +2,7 @@
 
 import ast
 import re
+import runpy
 import subprocess
 import sys
 import tarfile
@@ -10,9 +11,12 @@ import zipfile
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
+from sweep.report.page.script import bundle_script
+
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 TOOLS = ("sweep/report/page/.prettierrc.json", "sweep/report/page/package.json", "sweep/report/page/tsconfig.json")
+PAGE_SCRIPT = "sweep/report/page/main.js"  # all modules in one
 
 
 def test_a_wheel_holds_every_file_of_the_package_and_no_other(built):
@@ -23,7 +27,16 @@ def test_a_wheel_holds_every_file_of_the_package_and_no_other(built):
     }
     tree = {str(file) for file in there if "__pycache__" not in file.parts}
     tree = {re.sub("^conf/", "sweep/conf/", name) for name in tree} - set(TOOLS)
-    assert packed - {"sweep/commit.txt"} == tree
+    modules = {name for name in tree if name.endswith(".js")}
+    assert packed - {"sweep/commit.txt"} == tree - modules | {PAGE_SCRIPT}
+
+
+def test_the_pages_script_is_minified_in_a_wheel_and_readable_in_an_sdist(built):
+    script = zipfile.ZipFile(next(built.glob("*.whl"))).read(PAGE_SCRIPT).decode()
+    assert script == runpy.run_path(str(ROOT / "setup.py"))["minify_page_script"]()
+    assert len(script) < len(bundle_script()) / 2
+    with tarfile.open(next(built.glob("*.tar.gz"))) as source:
+        assert sum(name.endswith(".js") for name in source.getnames()) > 20
 
 
 def test_the_commit_is_in_both(built):

@@ -4,8 +4,10 @@ import base64
 import io
 import json
 import re
+import runpy
 import shutil
 import subprocess
+import sys
 import tarfile
 from dataclasses import replace
 from importlib.resources import files
@@ -29,6 +31,9 @@ from sweep.replay.motion import FRICTION_LEVELS, MARGIN_LEVELS, describe_bodies,
 from sweep.report import page, replays
 from sweep.report.page.replay_data import ShownReplay
 from sweep.runs import results
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "research"))
+import example_pages  # pyright: ignore[reportMissingImports]
 
 pytestmark = [
     pytest.mark.browser,
@@ -100,6 +105,14 @@ def test_a_shipped_example_shows_and_plays(browser, example):
     browser.run("document.querySelector('#play').click()")
     browser.until(f"Number(document.querySelector('#scrub').value) > {start} + 0.2")
     assert browser.errors == []
+
+
+def test_the_minified_script_of_a_wheel_plays(browser, tmp_path, monkeypatch):
+    minified = runpy.run_path(str(Path(__file__).parents[2] / "setup.py"))["minify_page_script"]()
+    monkeypatch.setattr(example_pages, "bundle_script", lambda: minified)
+    path = tmp_path / "report.html"
+    path.write_text(example_pages.renewed(EXAMPLES[0].read_text(encoding="utf-8")), encoding="utf-8")
+    test_a_shipped_example_shows_and_plays(browser, path)
 
 
 def plot(browser):

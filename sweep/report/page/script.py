@@ -6,6 +6,7 @@ import re
 from functools import cache
 from graphlib import TopologicalSorter
 from importlib.resources import files
+from importlib.resources.abc import Traversable
 
 IMPORT_LINE = re.compile(r'^import \{[^}]*\} from "\./([\w-]+\.js)";\n', re.MULTILINE)
 EXPORT_KEYWORD = re.compile(r"^export (?=(?:async )?(?:function\*?|const|class) )", re.MULTILINE)
@@ -13,12 +14,13 @@ EXPORT_KEYWORD = re.compile(r"^export (?=(?:async )?(?:function\*?|const|class) 
 
 @cache
 def bundle_script() -> str:
-    """Bundle all JavaScript modules into one script in the order of their imports."""
-    sources = {
-        file.name: file.read_text(encoding="utf-8")
-        for file in files(__package__).iterdir()
-        if file.name.endswith(".js")
-    }
+    """Return the page's script: all JavaScript modules of this package, which are one minified module in a wheel."""
+    return bundle_modules(files(__package__))
+
+
+def bundle_modules(folder: Traversable) -> str:
+    """Bundle the JavaScript modules of a folder into one script in the order of their imports."""
+    sources = {file.name: file.read_text(encoding="utf-8") for file in folder.iterdir() if file.name.endswith(".js")}
     order = TopologicalSorter({name: IMPORT_LINE.findall(text) for name, text in sources.items()}).static_order()
     return "\n".join(EXPORT_KEYWORD.sub("", IMPORT_LINE.sub("", sources[name])).strip() for name in order)
 
