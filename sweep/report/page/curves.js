@@ -2,13 +2,13 @@
 import { drawFrame, makeScale, wholeCells } from "./axes.js";
 import { drawKindBox } from "./charts.js";
 import { sortedValues } from "./data.js";
-import { byId, drawLine, element, cssColour, pointerPosition, prepareCanvas } from "./dom.js";
+import { byId, drawLine, element, cssColour, placeTip, pointerPosition, prepareCanvas } from "./dom.js";
 import { formatColumnValue } from "./map.js";
 import { cellEdges, clamp, formatCount, lastIndexBelow } from "./numbers.js";
 import { setRange } from "./selection.js";
 
 /** @import { Scale } from "./axes.js" */
-/** @import { AloneAxis } from "./data.js" */
+/** @import { AloneAxis, Table } from "./data.js" */
 /** @import { App, View } from "./main.js" */
 
 const [MOST_VALUES, VALUE_BINS] = [60, 20]; // values that get a bar each; bars of more values
@@ -37,7 +37,7 @@ export function curvesView(app) {
   const upwards = ["success", "failure", "invalid"].flatMap((outcome) =>
     kinds.flatMap((kind, k) => (kind.outcome === outcome ? [k] : [])),
   );
-  const panels = [...table.alone].sort((a, b) => successRange(app, b) - successRange(app, a)).map(makePanel);
+  const panels = table.alone.map(makePanel).sort((a, b) => successRange(table, b) - successRange(table, a));
   root.replaceChildren(...panels.map(({ canvas }) => canvas));
 
   /** @type {(axis: AloneAxis) => CurvePanel} */
@@ -48,6 +48,7 @@ export function curvesView(app) {
     const values = barValues(axis);
     const edges = cellEdges(values);
     const bars = Int32Array.from(rows, (row) => clamp(lastIndexBelow(edges, column.values[row]), 0, values.length - 1));
+    /** @type {CurvePanel} */
     const panel = { axis, canvas, values, bars };
     /** @type {number | null} */
     let from = null;
@@ -83,16 +84,7 @@ export function curvesView(app) {
     return { box: { left, top, width, height }, scale, shareAt };
   }
 
-  /**
-   * Rollouts that pass the filters by bar and kind.
-   * @param {CurvePanel} panel
-   * @returns {Float64Array[]}
-   */
-  function countKinds({ axis, values, bars }) {
-    const counts = Array.from(values, () => new Float64Array(kinds.length));
-    axis.rows.forEach((row, k) => (counts[bars[k]][table.kind[row]] += state.mask[row]));
-    return counts;
-  }
+  const countPassing = (/** @type {CurvePanel} */ panel) => countKinds(table, panel, (row) => state.mask[row]);
 
   /**
    * The bar and kind at a place; no kind above and below the bars.
@@ -103,7 +95,7 @@ export function curvesView(app) {
     const edges = /** @type {Float64Array} */ (scale.edges);
     if (x < box.left || x > box.left + box.width || y > box.top + box.height) return null;
     const bar = clamp(lastIndexBelow(edges, shareAt(x)), 0, panel.values.length - 1);
-    const counts = countKinds(panel)[bar];
+    const counts = countPassing(panel)[bar];
     const total = counts.reduce((a, b) => a + b, 0);
     let left = (1 - (y - box.top) / box.height) * total;
     const kind = upwards.find((one) => (left -= counts[one]) <= 0 && counts[one] > 0) ?? -1;
@@ -121,12 +113,7 @@ export function curvesView(app) {
       .flatMap((kind) => [element("dt", {}, kinds[kind].label), element("dd", {}, formatCount(part.counts[kind]))]);
     const at = `${column.label} ${formatColumnValue(column, panel.values[part.bar])}`;
     tip.replaceChildren(element("strong", {}, at), element("dl", {}, ...lines));
-    const [outer, inner] = [root.getBoundingClientRect(), panel.canvas.getBoundingClientRect()];
-    const [u, v] = [inner.left - outer.left + x, inner.top - outer.top + y];
-    const right = u < outer.width / 2;
-    tip.style.left = right ? `${u + 14}px` : "auto";
-    tip.style.right = right ? "auto" : `${outer.width - u + 14}px`;
-    tip.style.top = `${v}px`;
+    placeTip(tip, panel.canvas.offsetLeft + x, panel.canvas.offsetTop + y);
   }
 
   /**
@@ -153,7 +140,7 @@ export function curvesView(app) {
     const bottom = box.top + box.height;
     const edges = /** @type {Float64Array} */ (scale.edges);
     const looks = app.looks();
-    countKinds(panel).forEach((counts, bar) => {
+    countPassing(panel).forEach((counts, bar) => {
       const total = counts.reduce((a, b) => a + b, 0);
       const left = box.left + edges[bar] * box.width + 0.5;
       const width = Math.max(1, (edges[bar + 1] - edges[bar]) * box.width - 1);
@@ -226,19 +213,25 @@ function barValues({ column, rows }) {
 }
 
 /**
- * Difference between the largest and the smallest share of successes at the values of a parameter.
- * @type {(app: App, axis: AloneAxis) => number}
+ * Number of rollouts by bar and kind, each counted with its weight.
+ * @type {(table: Table, panel: CurvePanel, weight: (row: number) => number) => Float64Array[]}
  */
-function successRange({ table }, axis) {
-  const values = barValues(axis);
-  const edges = cellEdges(values);
-  const [good, all] = [new Float64Array(values.length), new Float64Array(values.length)];
-  for (const row of axis.rows) {
-    const { outcome } = table.about.kinds[table.kind[row]];
-    const bar = clamp(lastIndexBelow(edges, axis.column.values[row]), 0, values.length - 1);
-    if (outcome !== "invalid") all[bar]++;
-    if (outcome === "success") good[bar]++;
-  }
-  const shares = Array.from(good, (count, bar) => count / all[bar]).filter((share) => !Number.isNaN(share));
+function countKinds(table, { axis, values, bars }, weight) {
+  const counts = Array.from(values, () => new Float64Array(table.about.kinds.length));
+  axis.rows.forEach((row, k) => (counts[bars[k]][table.kind[row]] += weight(row)));
+  return counts;
+}
+
+/**
+ * Difference between the largest and the smallest share of successes at the values of a parameter.
+ * @type {(table: Table, panel: CurvePanel) => number}
+ */
+function successRange(table, panel) {
+  const { kinds } = table.about;
+  const sum = (/** @type {Float64Array} */ counts, /** @type {string[]} */ ...outcomes) =>
+    counts.reduce((total, count, kind) => total + (outcomes.includes(kinds[kind].outcome) ? count : 0), 0);
+  const shares = countKinds(table, panel, () => 1)
+    .map((counts) => sum(counts, "success") / sum(counts, "success", "failure"))
+    .filter((share) => !Number.isNaN(share));
   return shares.length ? Math.max(...shares) - Math.min(...shares) : 0;
 }

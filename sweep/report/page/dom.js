@@ -1,9 +1,11 @@
 // Elements, canvases and the colours of the page's theme.
-import { parseColour } from "./numbers.js";
+import { clamp, parseColour } from "./numbers.js";
 import { VectorPen } from "./vector.js";
 
 /** @import { Column, Kind } from "./data.js" */
 /** @typedef {[number, number, number]} Rgb */
+
+const [TIP_DISTANCE, TIP_RISE] = [14, 30]; // CSS pixels of a tip's edge from its place, aside and upwards
 
 /**
  * Find an element of the page by its id.
@@ -149,6 +151,18 @@ export function kindStyle({ colour, shape, outcome }, theme) {
 /** @type {(rgb: Rgb, opacity?: number) => string} */
 export function cssColour(rgb, opacity = 1) {
   return `rgba(${rgb.map(Math.round).join(",")},${opacity})`;
+}
+
+/**
+ * Show a tip beside a place of its box, on the side with more room, whole in the box where it fits.
+ * @type {(tip: HTMLElement, x: number, y: number) => void}
+ */
+export function placeTip(tip, x, y) {
+  const { clientWidth: width, clientHeight: height } = tip.offsetParent ?? document.body;
+  const right = x < width / 2;
+  tip.style.left = right ? `${x + TIP_DISTANCE}px` : "auto";
+  tip.style.right = right ? "auto" : `${width - x + TIP_DISTANCE}px`;
+  tip.style.top = `${clamp(y - TIP_RISE, 0, Math.max(0, height - tip.offsetHeight))}px`;
 }
 
 /**

@@ -2,7 +2,7 @@
 import { drawFrame, wholeCells } from "./axes.js";
 import { placeRows } from "./cells.js";
 import { clipName, inflate, readCounts, sortedValues } from "./data.js";
-import { byId, element, fillSelect, columnOptions, pointerPosition, prepareCanvas } from "./dom.js";
+import { byId, element, fillSelect, columnOptions, placeTip, pointerPosition, prepareCanvas } from "./dom.js";
 import {
   GLYPHED,
   KIND,
@@ -257,10 +257,7 @@ export function mapView(app) {
     const k = places.rows.indexOf(row);
     if (k < 0) return;
     const [u, v] = rowPosition(places, k, box());
-    const right = u < base.clientWidth / 2;
-    tip.style.left = right ? `${u + 14}px` : "auto";
-    tip.style.right = right ? "auto" : `${base.clientWidth - u + 14}px`;
-    tip.style.top = `${clamp(v - 30, 0, Math.max(0, base.clientHeight - tip.offsetHeight))}px`;
+    placeTip(tip, u, v);
   };
 
   over.addEventListener("pointerdown", (event) => {
