@@ -164,6 +164,17 @@ def chosen(browser, selector, value):
         list.value = {json.dumps(value)}; list.dispatchEvent(new Event("change")) }})()""")
 
 
+def rescaled(browser, title, scale):
+    """Give the axes of a column another scale by the menu of the parallel coordinates."""
+    browser.run("document.querySelector('.axis-menu').open = true")
+    browser.until("document.querySelector('.axis-menu select').options.length")
+    browser.run(f"""(() => {{ const line = [...document.querySelectorAll(".axis-menu li")].find(
+        (one) => one.textContent.includes({json.dumps(title)}));
+        const list = line.querySelector("select");
+        list.value = {json.dumps(scale)}; list.dispatchEvent(new Event("change")) }})()""")
+    browser.run("document.querySelector('.axis-menu').open = false")
+
+
 def colours(browser, selector="#map-base"):
     """The colours of a canvas, as red, green, blue by pixel, after all that is due has been drawn."""
     browser.run("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
@@ -312,6 +323,40 @@ def test_the_address_keeps_what_is_looked_at(shown):
     assert passing(shown) == found
     assert shown.run("['x', 'y', 'colour'].map(n => document.querySelector('#map-' + n).value)") == [
         "world.contact.friction", "slip_max_m", "margin"]  # fmt: skip
+
+
+def test_scales_and_axes_of_lines_are_in_the_address(gridded):
+    """Chosen by the switch of the map and by the menu of the lines; titles say the scale."""
+    assert "friction (world) (at equal steps)" in drawing(gridded, "Map")  # as it goes up in powers of two
+    chosen(gridded, "#map-x + .scale", "log")
+    assert "friction (world) (log)" in drawing(gridded, "Map")
+    chosen(gridded, "#map-colour", "margin")
+    gridded.run("""(() => { document.querySelector(".axis-menu").open = true;
+        const find = document.querySelector(".axis-menu input[type=search]");
+        find.value = "slip"; find.dispatchEvent(new Event("input")) })()""")
+    found = "[...document.querySelectorAll('.axis-menu li')].filter((one) => !one.hidden)"
+    assert gridded.run(f"{found}.every((one) => one.textContent.includes('slip'))")
+    gridded.run(f"{found}[0].querySelector('input').click()")
+    gridded.run(f"{found}[0].querySelector('button').click()")
+    gridded.until("['scale=', 'line=slip', 'inverted'].every((one) => location.hash.includes(one))")
+    before = drawing(gridded, "Every rollout")
+    gridded.run("window.before_ = true; location.reload()")
+    gridded.until("!window.before_ && performance.getEntriesByName('map').length")
+    assert gridded.run("document.querySelector('#map-x + .scale').value") == "log"
+    assert drawing(gridded, "Every rollout") == before
+    assert "slip max" in before
+
+
+def test_a_line_is_told_and_replayed_where_the_pointer_is(shown):
+    left, top, width, height = shown.place("#lines-over")
+    shown.mouse("Moved", left + 46 + 0.5 * (width - 92), top + 0.5 * height)
+    text = shown.until("document.querySelector('#lines-over + .tip').textContent")
+    assert "friction (world)" in text
+    shown.click(left + 46 + 0.5 * (width - 92), top + 0.5 * height)
+    shown.until("location.hash.includes('point=')")
+    point = shown.run("new URLSearchParams(location.hash.slice(1)).get('point')")
+    assert point in text  # the row that was told is the one that was chosen
+    shown.until("document.querySelector('#play').getAttribute('aria-label') === 'pause'")
 
 
 def test_a_value_of_a_further_axis_is_kept_and_a_replay_of_a_repeated_point_is_told(browser, repeated):
@@ -546,7 +591,9 @@ def test_a_range_is_of_whole_values_of_a_grid(gridded, uneven):
     assert dragged(0.15, 0.5) == [0.4, 0.8]
     gridded.click(at, top + 10)  # inverted
     assert dragged(0.3, 0.7) == [0.4, 0.8]
-    gridded.click(at, top + 10)  # by its logarithm
+    gridded.click(at, top + 10)  # upright
+    rescaled(gridded, "friction (world)", "log")
+    gridded.place("#lines-over")
     assert dragged(0.45, 0.8) == [0.4, 0.8]
     assert dragged(0.9, 1.0) == [1.6]
     words = ElementTree.fromstring(drawing(gridded, "Every rollout")).iter("{http://www.w3.org/2000/svg}text")
@@ -574,9 +621,9 @@ def test_axes_of_a_margin_are_bent_about_zero(shown):
     found = by_script(
         shown,
         {},
-        f"""const column = {{ low: {low}, high: {high}, diverges: true }}, along = axisMapping(column);
+        f"""const column = {{ low: {low}, high: {high}, scale: "symlog", linear: 0.1 }}, along = axisMapping(column);
         const values = [-5, -1, -0.1, 0, 0.1, 1];
-        return [values.map(along.to), values.map((one) => along.back(along.to(one))), axisTicks(column, undefined, 9)]
+        return [values.map(along.to), values.map((one) => along.back(along.to(one))), axisTicks(column, 9)]
         """,
     )
     bent = np.arcsinh(np.array([-5, -1, -0.1, 0, 0.1, 1]) / 0.1)
@@ -587,7 +634,7 @@ def test_axes_of_a_margin_are_bent_about_zero(shown):
 
 def test_the_ticks_of_a_margin_reach_both_ends(shown):
     low, high = -6.0, 0.67
-    text = f"return axisTicks({{ low: {low}, high: {high}, diverges: true }}, undefined, 8)"
+    text = f"return axisTicks({{ low: {low}, high: {high}, scale: 'symlog', linear: 0.1 }}, 8)"
     found = by_script(shown, {}, text)
     assert found == sorted(found)
     assert found[0] == -5
@@ -596,7 +643,7 @@ def test_the_ticks_of_a_margin_reach_both_ends(shown):
 
 
 def test_numbers_along_an_axis_differ_and_rounding_is_no_range(shown):
-    text = """const same = { low: 0.8134, high: 0.8134 * (1 + 1e-12), diverges: false };
+    text = """const same = { low: 0.8134, high: 0.8134 * (1 + 1e-12), scale: "linear", linear: 0.1 };
         return [formatApart([0.1, 0.10001, 0.10002]), axisMapping(same).to(same.high)]"""
     words, middle_share = by_script(shown, {}, text)
     assert words == ["0.1", "0.10001", "0.10002"]

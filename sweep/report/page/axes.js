@@ -1,19 +1,23 @@
 // Axes of charts: conversion between values and pixels, ticks and titles.
 import {
-  asinhLike,
+  arcsinh,
   clamp,
   cellEdges,
   formatApart,
+  formatShort,
   isRoundingRange,
   lastIndexBelow,
   ticks,
-  inverseAsinhLike,
+  inverseArcsinh,
 } from "./numbers.js";
 
 /** @import { Column } from "./data.js" */
 /** @import { Sheet, Theme } from "./dom.js" */
 /** @typedef {{ value: number, text: string }} Mark along an axis */
-/** @typedef {{ scale: Scale, title: string }} Titled */
+/** @typedef {{ scale: Pick<Scale, "to" | "ticks">, title: string }} Titled */
+
+/** @typedef {"linear" | "log" | "symlog"} ScaleKind linear, logarithmic, or linear near zero and logarithmic beyond */
+/** @typedef {Pick<Column, "low" | "high" | "scale" | "linear">} Scaled what of a column its scale depends on */
 
 /**
  * Conversion between values and shares of an axis, 0 to 1.
@@ -23,12 +27,62 @@ import {
  * @property {Mark[]} ticks
  * @property {Float64Array | null} edges of cells as shares, if the axis has cells
  * @property {Float64Array | null} cells their values
+ * @property {string} note on a scale that is not linear, for the axis' title
  */
 
+/** @typedef {Pick<Scale, "to" | "back">} Along */
+
 const UNEVEN_RATIO = 3; // if gaps between cells differ by more than this factor, cells get equal width
+const END_ROOM = 0.03; // room beyond the outermost marks, as a share of an axis
+const TICK_ROOM = 1.5; // gaps between uneven ticks are at least the length of the axis by so many times their number
 
 /**
- * Make the scale of a column: one cell for each name or value in `cells`, else linear with some room at the ends.
+ * Kinds of scales that a column's axes can have; none for names and for columns of one value.
+ * @type {(column: Pick<Column, "names" | "low" | "high">) => ScaleKind[]}
+ */
+export function allowedScales({ names, low, high }) {
+  if (names || isRoundingRange(low, high)) return [];
+  return low > 0 ? ["linear", "log", "symlog"] : ["linear", "symlog"];
+}
+
+/**
+ * The scale that a column's axes have unless the reader chooses another.
+ * @type {(column: Pick<Column, "diverges" | "names">) => ScaleKind}
+ */
+export function columnScale({ diverges, names }) {
+  return diverges && !names ? "symlog" : "linear";
+}
+
+/**
+ * Functions from values to lengths along the scale of a column, and back.
+ * @type {(column: Scaled) => [(value: number) => number, (length: number) => number]}
+ */
+function scaleFunctions({ scale, linear }) {
+  if (scale === "log") return [Math.log, Math.exp];
+  if (scale === "symlog") return [(value) => arcsinh(value, linear), (length) => inverseArcsinh(length, linear)];
+  return [Number, Number];
+}
+
+/**
+ * Note on a column's scale for the title of an axis; empty for a linear one.
+ * @type {(column: Pick<Column, "scale" | "linear" | "names">) => string}
+ */
+export function scaleNote({ scale, linear, names }) {
+  if (names || scale === "linear") return "";
+  return scale === "log" ? "log" : `symlog, linear within ±${formatShort(linear)}`;
+}
+
+/**
+ * Title of an axis: label, unit and scale.
+ * @type {(column: Column, scale: { note: string }) => string}
+ */
+export function axisTitle({ title }, { note }) {
+  return note ? `${title} (${note})` : title;
+}
+
+/**
+ * Make the scale of a column: one cell for each name or value in `cells`, else the column's own scale with some room at
+ * the ends.
  * @param {Column} column
  * @param {Float64Array | null} cells sorted values
  * @param {number} room number of ticks that fit
@@ -39,31 +93,66 @@ export function makeScale(column, cells, room) {
     const count = column.names.length;
     const values = Float64Array.from({ length: count }, (_, k) => k);
     const every = Math.max(1, Math.ceil(count / room));
-    const marks = column.names.map((text, value) => ({ value, text })).filter(({ value }) => value % every === 0);
+    const ticks = column.names.map((text, value) => ({ value, text })).filter(({ value }) => value % every === 0);
     const edges = Float64Array.from({ length: count + 1 }, (_, k) => k / count); // also below the first name, whose code is 0
-    return { ...linearScale(-0.5, count - 0.5, marks, null), edges, cells: values };
+    const along = alongBetween({ ...column, scale: "linear" }, -0.5, count - 0.5);
+    return { ...along, ticks, edges, cells: values, note: "" };
   }
-  if (!cells && column.diverges) return asinhScale(column, room);
+  const note = scaleNote(column);
+  const [on, off] = scaleFunctions(column);
   if (!cells) {
-    const same = isRoundingRange(column.low, column.high);
-    const margin = same ? 0.5 * Math.abs(column.high) || 0.5 : 0.03 * (column.high - column.low);
-    const low = column.low >= 0 ? Math.max(0, column.low - margin) : column.low - margin;
-    return linearScale(low, column.high + margin, labelledTicks(low, column.high + margin, room), null);
+    const [low, high] = roomyEnds(column);
+    const ticks = labelledValues(scaleTicks(column, low, high, room));
+    return { ...alongBetween(column, low, high), ticks, edges: null, cells: null, note };
   }
-  const gaps = Array.from(cells.subarray(1), (value, k) => value - cells[k]);
-  if (!gaps.length || Math.max(...gaps) < UNEVEN_RATIO * Math.min(...gaps)) {
-    const edges = cellEdges(cells);
-    const [low, high] = [edges[0], edges[edges.length - 1]];
-    const few = cells.length <= room / 1.5;
-    const marks = few ? labelledValues(Array.from(cells)) : labelledTicks(low, high, room);
-    return linearScale(low, high, marks, cells);
-  }
-  return equalCellScale(cells, room);
+  const lengths = cells.map(on);
+  const gaps = Array.from(lengths.subarray(1), (value, k) => value - lengths[k]);
+  if (gaps.length && Math.max(...gaps) >= UNEVEN_RATIO * Math.min(...gaps)) return equalCellScale(cells, room);
+  const edges = column.scale === "linear" ? cellEdges(cells) : edgesBetween(lengths).map(off);
+  const [low, high] = [edges[0], edges[edges.length - 1]];
+  const along = alongBetween(column, low, high);
+  const few = cells.length <= room / 1.5;
+  const ticks = labelledValues(few ? Array.from(cells) : scaleTicks(column, low, high, room));
+  return { ...along, ticks, edges: edges.map((edge) => clamp(along.to(edge), 0, 1)), cells, note };
 }
 
-/** @type {(low: number, high: number, room: number) => Mark[]} */
-function labelledTicks(low, high, room) {
-  return labelledValues(ticks(low, high, room));
+/**
+ * Ends of an axis with marks: those of the values, with some room.
+ * @type {(column: Scaled) => [number, number]}
+ */
+function roomyEnds(column) {
+  const { low, high, scale } = column;
+  const [on, off] = scaleFunctions(column);
+  const same = isRoundingRange(low, high);
+  if (same) return [low - (0.5 * Math.abs(high) || 0.5), high + (0.5 * Math.abs(high) || 0.5)];
+  const room = END_ROOM * (on(high) - on(low));
+  const [first, last] = [off(on(low) - room), off(on(high) + room)];
+  return [scale === "linear" && low >= 0 ? Math.max(0, first) : first, last];
+}
+
+/**
+ * Edges half-way between evenly spaced lengths, and as far beyond the outer ones.
+ * @type {(lengths: Float64Array) => Float64Array}
+ */
+function edgesBetween(lengths) {
+  const count = lengths.length;
+  const half = count > 1 ? (lengths[count - 1] - lengths[0]) / (count - 1) / 2 : 0.5;
+  return Float64Array.from({ length: count + 1 }, (_, k) =>
+    k === 0 ? lengths[0] - half : k === count ? lengths[count - 1] + half : (lengths[k - 1] + lengths[k]) / 2,
+  );
+}
+
+/**
+ * Conversion along a column's scale between two values.
+ * @type {(column: Scaled, first: number, last: number) => Along}
+ */
+function alongBetween(column, first, last) {
+  const [on, off] = scaleFunctions(column);
+  const [start, size] = [on(first), on(last) - on(first) || 1];
+  return {
+    to: (value) => (on(value) - start) / size,
+    back: (share) => (share === 0 ? first : share === 1 ? last : off(start + share * size)), // exact at the ends
+  };
 }
 
 /** @type {(values: number[]) => Mark[]} */
@@ -72,89 +161,53 @@ function labelledValues(values) {
   return values.map((value, k) => ({ value, text: texts[k] }));
 }
 
-/** @type {(low: number, high: number, marks: Mark[], cells: Float64Array | null) => Scale} */
-function linearScale(low, high, marks, cells) {
-  const size = high - low || 1;
-  const to = (/** @type {number} */ value) => (value - low) / size;
-  const edges = cells ? cellEdges(cells).map((edge) => clamp(to(edge), 0, 1)) : null;
-  return { to, back: (share) => low + share * size, ticks: marks, edges, cells };
-}
-
 /**
- * Make a scale that is linear near zero and logarithmic beyond, so that values near zero are told apart.
- * @type {(column: Column, room: number) => Scale}
+ * Round values along a column's scale: at equal steps if it is linear; else zero, then the outermost round numbers, then
+ * powers of ten and other round numbers as far as there is room between them.
+ * @type {(column: Scaled, low: number, high: number, room: number) => number[]}
  */
-function asinhScale({ low, high }, room) {
-  const [first, last] = [asinhLike(low) - 0.1, asinhLike(high) + 0.1];
-  const to = (/** @type {number} */ value) => (asinhLike(value) - first) / (last - first);
-  const marks = labelledValues(asinhTicks(low, high, room));
-  return {
-    to,
-    back: (share) => inverseAsinhLike(first + share * (last - first)),
-    ticks: marks,
-    edges: null,
-    cells: null,
-  };
-}
-
-/**
- * Ticks at zero, then at the outermost round numbers on both sides, then at powers of ten and other round numbers as far
- * as there is room between them.
- * @type {(low: number, high: number, room: number) => number[]}
- */
-function asinhTicks(low, high, room) {
-  const size = Math.max(-low, high);
-  const count = Math.max(1, Math.ceil(Math.log10(size / 0.1)) + 1);
-  const powers = Array.from({ length: count }, (_, k) => 10 ** (k - 1));
+function scaleTicks(column, low, high, room) {
+  const { scale, linear } = column;
+  if (scale === "linear") return ticks(low, high, room);
+  const [on] = scaleFunctions(column);
+  const size = Math.max(Math.abs(low), Math.abs(high));
+  const first = Math.floor(Math.log10(scale === "log" ? low : linear));
+  const count = Math.max(1, Math.ceil(Math.log10(size)) - first + 1);
+  const powers = Array.from({ length: count }, (_, k) => Number(`1e${first + k}`));
   const within = (/** @type {number} */ value) => value >= low && value <= high;
   const signed = (/** @type {number[]} */ sizes) => sizes.flatMap((value) => [-value, value]).filter(within);
   const round = signed(powers.flatMap((power) => [power, 2 * power, 5 * power]));
+  if (scale === "log" && round.length < 3) return ticks(low, high, room); // of less than a decade
   const outermost = round.length ? [Math.min(...round), Math.max(...round)] : [];
-  const least = (asinhLike(high) - asinhLike(low)) / (1.5 * room);
-  const apart = (/** @type {number} */ a, /** @type {number} */ b) => Math.abs(asinhLike(a) - asinhLike(b)) >= least;
+  const least = (on(high) - on(low)) / (TICK_ROOM * room);
+  const apart = (/** @type {number} */ a, /** @type {number} */ b) => Math.abs(on(a) - on(b)) >= least;
   /** @type {number[]} */
   const found = [];
-  for (const value of [0, ...outermost, ...signed(powers).reverse(), ...round])
-    if ((value === 0 || within(value)) && found.every((other) => apart(value, other))) found.push(value);
+  for (const value of [...(within(0) ? [0] : []), ...outermost, ...signed(powers).reverse(), ...round])
+    if (found.every((other) => apart(value, other))) found.push(value);
   return found.sort((a, b) => a - b);
 }
 
-/** @typedef {"inverted" | "log"} Way of an axis that is not upright, or not even */
-/** @typedef {Pick<Scale, "to" | "back">} Along */
-
 /**
- * Conversion between values of a column and shares of an axis from its lowest to its highest: linear, or inverse hyperbolic
- * sine if the column diverges about zero.
- * @type {(column: Column, way?: Way) => Along}
+ * Conversion between values of a column and shares of an axis from its lowest to its highest value.
+ * @type {(column: Scaled, inverted?: boolean) => Along}
  */
-export function axisMapping({ low, high, diverges }, way) {
+export function axisMapping(column, inverted = false) {
+  const { low, high } = column;
   if (isRoundingRange(low, high)) return { to: () => 0.5, back: () => low };
-  const [on, off] = way === "log" ? [Math.log, Math.exp] : diverges ? [asinhLike, inverseAsinhLike] : [Number, Number];
-  const [first, last] = way === "inverted" ? [high, low] : [low, high];
-  const [start, size] = [on(first), on(last) - on(first)];
-  return {
-    to: (value) => (on(value) - start) / size,
-    back: (share) => (share <= 0 ? first : share >= 1 ? last : off(start + share * size)), // exact at the ends
-  };
+  const { to, back } = inverted ? alongBetween(column, high, low) : alongBetween(column, low, high);
+  return { to, back: (share) => back(clamp(share, 0, 1)) };
 }
 
 /**
  * Ticks along such an axis: round values, or names.
- * @type {(column: Column, way: Way | undefined, room: number) => number[]}
+ * @type {(column: Scaled & Pick<Column, "names">, room: number) => number[]}
  */
-export function axisTicks({ names, low, high, diverges }, way, room) {
-  if (names) {
-    const every = Math.ceil(names.length / (3 * room)); // horizontal words
-    return names.map((_, k) => k).filter((k) => k > low && k < high && k % every === 0);
-  }
-  if (way === "log") {
-    const [first, last] = [Math.ceil(Math.log10(low)), Math.floor(Math.log10(high))];
-    const every = Math.max(1, Math.ceil((last - first + 1) / room));
-    return Array.from({ length: Math.max(0, last - first + 1) }, (_, k) => 10 ** (first + k)).filter(
-      (_, k) => k % every === 0,
-    );
-  }
-  return diverges ? asinhTicks(low, high, room) : ticks(low, high, room);
+export function axisTicks(column, room) {
+  const { names, low, high } = column;
+  if (!names) return scaleTicks(column, low, high, room);
+  const every = Math.ceil(names.length / (3 * room)); // horizontal words
+  return names.map((_, k) => k).filter((k) => k > low && k < high && k % every === 0);
 }
 
 /**
@@ -198,7 +251,7 @@ export function equalCellScale(cells, room) {
   const every = Math.max(1, Math.ceil(count / room));
   const marks = labelledValues(Array.from(cells)).filter((_, k) => k % every === 0);
   const edges = Float64Array.from({ length: count + 1 }, (_, k) => k / count);
-  return { to, back, ticks: marks, edges, cells };
+  return { to, back, ticks: marks, edges, cells, note: "at equal steps" };
 }
 
 /** @typedef {{ left: number, top: number, width: number, height: number }} Box */

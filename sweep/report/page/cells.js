@@ -1,5 +1,5 @@
 // Places of a map's rows: as cells of a grid, as quarters of a refined mesh's cells, or as marks.
-import { makeScale } from "./axes.js";
+import { axisMapping, makeScale } from "./axes.js";
 import { clamp, rowLottery } from "./numbers.js";
 
 /** @import { Scale } from "./axes.js" */
@@ -117,10 +117,7 @@ function jitter(row) {
  */
 function placeInMesh(table, x, y, within, room, straight) {
   const [sx, sy] = [x, y].map((column) => {
-    const size = column.high - column.low || 1;
-    const scale = makeScale(column, null, room);
-    const to = (/** @type {number} */ value) => (value - column.low) / size;
-    return { ...scale, to, back: (/** @type {number} */ share) => column.low + share * size };
+    return { ...makeScale(column, null, room), ...axisMapping(column) }; // without room at the ends
   });
   const corners = table.mesh ?? new Int32Array();
   const [rows, boxes, outlines] = [

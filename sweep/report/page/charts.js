@@ -1,7 +1,8 @@
 // Smaller charts of the rows that pass the filters: causes, importance of parameters, distributions, rates, pairs.
-import { axisMapping, drawFrame, makeScale, equalCellScale, wholeCells } from "./axes.js";
+import { axisMapping, axisTitle, drawFrame, makeScale, equalCellScale, scaleNote, wholeCells } from "./axes.js";
 import { binRows, clipName, clippedRange, distributionDistance, gridValues, kolmogorovSmirnov } from "./data.js";
 import {
+  CLICK_REACH,
   byId,
   cssColour,
   element,
@@ -221,9 +222,10 @@ export function rateView(app) {
     const [low, high] = column ? [column.low, column.high] : [0, Math.max(1, all)];
     /** @type {Column} */
     const shown = { ...(column ?? numbers[0] ?? table.columns[0]), names: null, low, high };
+    if (!column) shown.scale = "linear";
     const x = makeScale(shown, null, width / 80);
     const marks = [0, 0.25, 0.5, 0.75, 1].map((value) => ({ value, text: `${100 * value} %` }));
-    const y = { to: Number, back: Number, ticks: marks, edges: null, cells: null };
+    const y = { to: Number, ticks: marks };
     const spot = (/** @type {number} */ at, /** @type {number} */ rate) =>
       /** @type {const} */ ([box.left + x.to(at) * box.width, box.top + (1 - rate) * box.height]);
     if (table.about.sure) {
@@ -238,7 +240,7 @@ export function rateView(app) {
     pen.beginPath();
     curve.forEach(({ at, rate }) => pen.lineTo(...spot(at, rate)));
     pen.stroke();
-    const title = column ? `${column.title}, up to` : "rollouts, in the order of the draws";
+    const title = column ? `${axisTitle(column, x)}, up to` : "rollouts, in the order of the draws";
     drawFrame(sheet, app.theme(), box, { scale: x, title }, { scale: y, title: "rate of success" });
   };
   return { root: canvas, draw };
@@ -307,12 +309,12 @@ export function distributionsView(app) {
     });
     canvas.addEventListener("pointermove", (event) => {
       const [x] = pointerPosition(event, canvas);
-      if (from === null || Math.abs(x - from) < 4) return;
+      if (from === null || Math.abs(x - from) < CLICK_REACH) return;
       setRange(state, column.key, wholeCells(across, shareAt(from), shareAt(x)));
       app.filtered();
     });
     canvas.addEventListener("pointerup", (event) => {
-      if (from !== null && Math.abs(pointerPosition(event, canvas)[0] - from) < 4) {
+      if (from !== null && Math.abs(pointerPosition(event, canvas)[0] - from) < CLICK_REACH) {
         setRange(state, column.key, null);
         app.filtered();
       }
@@ -379,10 +381,11 @@ export function distributionsView(app) {
       pen.fillText(`${ends[1] < column.high ? "≥ " : ""}${formatShort(ends[1])}`, left + wide, bottom + 4);
       pen.fillStyle = ink;
       pen.textAlign = "center";
-      pen.fillText(column.title, width / 2, bottom + 18, width - 4);
+      const note = across.edges ? "" : scaleNote(column);
+      pen.fillText(axisTitle(column, { note }), width / 2, bottom + 18, width - 4);
     }
   };
-  return { root, draw };
+  return { root, draw, rescaled: fill };
 }
 
 /**

@@ -1,8 +1,8 @@
 // Outcomes along each parameter that varies alone: their shares at each value, by cause, with the rate's interval.
-import { drawFrame, makeScale, wholeCells } from "./axes.js";
+import { axisTitle, drawFrame, makeScale, wholeCells } from "./axes.js";
 import { drawKindBox } from "./charts.js";
 import { sortedValues } from "./data.js";
-import { byId, drawLine, element, cssColour, placeTip, pointerPosition, prepareCanvas } from "./dom.js";
+import { CLICK_REACH, byId, drawLine, element, cssColour, placeTip, pointerPosition, prepareCanvas } from "./dom.js";
 import { formatColumnValue } from "./map.js";
 import { cellEdges, clamp, formatCount, lastIndexBelow } from "./numbers.js";
 import { setRange } from "./selection.js";
@@ -14,7 +14,6 @@ import { setRange } from "./selection.js";
 const [MOST_VALUES, VALUE_BINS] = [60, 20]; // values that get a bar each; bars of more values
 const CURVE_MARGIN = { left: 48, right: 10, top: 10, bottom: 48 };
 const SHARE_MARKS = [0, 0.25, 0.5, 0.75, 1].map((value) => ({ value, text: `${100 * value} %` }));
-const CLICK_REACH = 5; // pixels from which a click is a drag
 
 /**
  * A panel: the bars of one parameter.
@@ -168,8 +167,8 @@ export function curvesView(app) {
       pen.lineWidth = 2;
       pen.strokeRect(along(range.low), box.top, along(range.high) - along(range.low), box.height);
     }
-    const share = { to: Number, back: Number, ticks: SHARE_MARKS, edges: null, cells: null };
-    drawFrame(sheet, app.theme(), box, { scale, title: axis.column.title }, { scale: share, title: "" });
+    const share = { to: Number, ticks: SHARE_MARKS };
+    drawFrame(sheet, app.theme(), box, { scale, title: axisTitle(axis.column, scale) }, { scale: share, title: "" });
   }
 
   return { root, draw: () => panels.forEach(drawPanel) };

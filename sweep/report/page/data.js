@@ -1,6 +1,9 @@
 // Decoding of the page's data: rows by column, cells of a refined map, densities.
 // Python writes the records from `Kind` to `About` (`data.py`, `replay_data.py`); a test compares their keys.
+import { columnScale } from "./axes.js";
 import { clamp } from "./numbers.js";
+
+/** @import { ScaleKind } from "./axes.js" */
 
 /**
  * @typedef {object} Kind
@@ -142,6 +145,8 @@ import { clamp } from "./numbers.js";
  * @property {Float64Array} values NaN if missing
  * @property {number} low
  * @property {number} high
+ * @property {ScaleKind} scale of its axes in all views, which the reader may choose
+ * @property {number} linear range about zero within which a symlog scale is linear
  */
 
 /** @typedef {Omit<Curve, "key" | "block"> & { column: Column, rows: Int32Array }} AloneAxis */
@@ -161,6 +166,8 @@ import { clamp } from "./numbers.js";
  */
 
 const MISSING = 65535;
+const MARGIN_LINEAR = 0.1; // within which scales of a margin are linear, in units of the limit
+const SMALL_SHARE = 0.1; // share of the values that may lie within the linear part of a symlog scale
 const CLIPPED_FACTOR = 0.5; // of the range between the 1st and 99th percentile: values farther beyond it are clipped
 export const NAME_LENGTH = 120; // characters of a name that are shown
 
@@ -243,7 +250,21 @@ function makeColumn(format, values) {
   const title = format.unit ? `${label} [${format.unit}]` : label;
   const names = format.names ? format.names.map(clipName) : null;
   const path = format.path ?? ""; // pages of earlier versions have none
-  return { ...format, label, title, path, names, values, low, high };
+  const scale = columnScale({ diverges: format.diverges, names });
+  const linear = format.diverges ? MARGIN_LINEAR : names ? 1 : linearRange(values);
+  return { ...format, label, title, path, names, values, low, high, scale, linear };
+}
+
+/**
+ * Range about zero within which a column's symlog scale is linear: a power of ten below most of its values.
+ * @type {(values: Float64Array) => number}
+ */
+function linearRange(values) {
+  const sizes = values
+    .filter((value) => value !== 0 && Number.isFinite(value))
+    .map(Math.abs)
+    .sort();
+  return sizes.length ? 10 ** Math.floor(Math.log10(sizes[Math.floor(SMALL_SHARE * sizes.length)])) : 1;
 }
 
 /**

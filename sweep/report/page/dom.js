@@ -5,6 +5,7 @@ import { VectorPen } from "./vector.js";
 /** @import { Column, Kind } from "./data.js" */
 /** @typedef {[number, number, number]} Rgb */
 
+export const CLICK_REACH = 5; // CSS pixels from which a click is a drag
 const [TIP_DISTANCE, TIP_RISE] = [14, 30]; // CSS pixels of a tip's edge from its place, aside and upwards
 
 /**

@@ -57,7 +57,7 @@ export function formatCsv({ table, state }) {
  */
 function panelCanvases(panel) {
   const canvases = [.../** @type {NodeListOf<HTMLCanvasElement>} */ (panel.querySelectorAll("canvas"))].filter(
-    (one) => one.clientHeight && !one.closest("p, button"),
+    (one) => one.checkVisibility() && !one.closest("p, button"),
   );
   const boxes = canvases.map((one) => one.getBoundingClientRect());
   const [left, top] = [Math.min(...boxes.map((box) => box.left)), Math.min(...boxes.map((box) => box.top))];

@@ -21,6 +21,7 @@ import { makePlayer } from "./player.js";
 import { formatCsv, download, offerPictures } from "./export.js";
 import { setRange, clearFilters, applyFilters, makeState } from "./selection.js";
 
+/** @import { ScaleKind } from "./axes.js" */
 /** @import { AddressState } from "./url_state.js" */
 /** @import { Column, Kind, Table } from "./data.js" */
 /** @import { Look, Theme } from "./dom.js" */
@@ -45,6 +46,7 @@ import { setRange, clearFilters, applyFilters, makeState } from "./selection.js"
  * @property {() => Form} form
  * @property {() => void} filtered reports that filters have changed
  * @property {() => void} redraw draws all visible views
+ * @property {(column: Column, scale: ScaleKind) => void} rescale gives the axes of a column another scale in all views
  * @property {() => Promise<void>} drawn draws all views, visible or not
  * @property {(text: string) => void} tell announces a text to screen readers
  * @property {(row: number, columns: Column[]) => Node[]} words describes a row
@@ -52,7 +54,16 @@ import { setRange, clearFilters, applyFilters, makeState } from "./selection.js"
  */
 
 /** @typedef {"cells" | "marks"} Form */
-/** @typedef {{ root: HTMLElement, draw: () => void | Promise<void>, point?: () => void, resized?: () => void }} View */
+
+/**
+ * A part of the page that shows the rows.
+ * @typedef {object} View
+ * @property {HTMLElement} root
+ * @property {() => void | Promise<void>} draw
+ * @property {() => void} [point] shows which row is chosen, and which one is under the pointer
+ * @property {() => void} [resized] is called before the view is drawn in another size
+ * @property {() => void} [rescaled] is called before the view is drawn with another scale of an axis
+ */
 
 const ADDRESS_DELAY = 250; // ms after which the address is updated
 
@@ -108,6 +119,8 @@ async function startPage() {
   for (const [key, range] of wanted.ranges) setRange(state, key, range);
   for (const [key, value] of wanted.fixed) state.fixed.set(key, value);
   for (const kind of wanted.hidden) state.hidden.add(kind);
+  for (const column of table.columns) column.scale = wanted.scales.get(column.key) ?? column.scale;
+  state.lines = wanted.lines;
   applyFilters(state);
   let noted = 0;
   const note = () => {
@@ -163,6 +176,11 @@ async function startPage() {
       for (const view of views) waiting.add(view);
       soon();
       app.remember();
+    },
+    rescale: (column, scale) => {
+      column.scale = scale;
+      for (const view of views) view.rescaled?.();
+      app.redraw();
     },
     drawn: async () => {
       everything = true;

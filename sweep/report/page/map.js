@@ -1,8 +1,18 @@
 // The map: every rollout over two columns, as cells or marks; hover, brush, keyboard.
-import { drawFrame, wholeCells } from "./axes.js";
+import { axisTitle, drawFrame, wholeCells } from "./axes.js";
+import { makeScaleChoice } from "./scale_choice.js";
 import { placeRows } from "./cells.js";
 import { clipName, inflate, readCounts, sortedValues } from "./data.js";
-import { byId, element, fillSelect, columnOptions, placeTip, pointerPosition, prepareCanvas } from "./dom.js";
+import {
+  CLICK_REACH,
+  byId,
+  element,
+  fillSelect,
+  columnOptions,
+  placeTip,
+  pointerPosition,
+  prepareCanvas,
+} from "./dom.js";
 import {
   GLYPHED,
   KIND,
@@ -27,7 +37,6 @@ import { setRange, clearFilters } from "./selection.js";
 /** @import { Pixels } from "./raster.js" */
 
 const MARGIN = { left: 64, right: 14, top: 12, bottom: 48 };
-const DRAG_DISTANCE = 5; // pixels from which a click is a drag
 
 /** @type {(app: App) => View} */
 export function mapView(app) {
@@ -46,6 +55,12 @@ export function mapView(app) {
   const rates = table.about.adaptive ? [] : [[RATE, "rate of success"]];
   fillSelect(selects[2], [[KIND, "outcome and cause"], ...rates, ...numbers], KIND);
   if ((wanted.colour === RATE && rates.length) || table.named.has(wanted.colour)) selects[2].value = wanted.colour;
+
+  const scales = ["across", "up"].map((way, k) => {
+    const choice = makeScaleChoice(app, `scale ${way}`);
+    selects[k].after(choice.select);
+    return choice;
+  });
 
   /** @type {PlacedRows | null} */
   let places = null;
@@ -144,7 +159,12 @@ export function mapView(app) {
     const coloured = table.named.get(selects[2].value);
     if (coloured?.diverges && !x.names && !y.names) drawContour(app, sheet.pen, here, coloured, area);
     drawReplayed(sheet.pen, here, area);
-    drawFrame(sheet, app.theme(), area, { scale: here.x, title: axisTitle(x) }, { scale: here.y, title: axisTitle(y) });
+    const [across, up] = [
+      { scale: here.x, title: axisTitle(x, here.x) },
+      { scale: here.y, title: axisTitle(y, here.y) },
+    ];
+    drawFrame(sheet, app.theme(), area, across, up);
+    scales.forEach((choice, k) => choice.show(columns()[k]));
     drawKey();
     drawOver();
     app.drawnAs(density && !filtered ? "cells" : here.form);
@@ -274,13 +294,13 @@ export function mapView(app) {
       drawOver();
       return;
     }
-    if (Math.hypot(x - pressed.x, y - pressed.y) < DRAG_DISTANCE) return;
+    if (Math.hypot(x - pressed.x, y - pressed.y) < CLICK_REACH) return;
     tip.hidden = true;
     brush(pressed, x, y);
   });
   over.addEventListener("pointerup", (event) => {
     const [x, y] = pointerPosition(event, over);
-    if (pressed && Math.hypot(x - pressed.x, y - pressed.y) < DRAG_DISTANCE) {
+    if (pressed && Math.hypot(x - pressed.x, y - pressed.y) < CLICK_REACH) {
       const row = rowAt(x, y);
       if (row < 0) brushOff();
       else {
@@ -362,15 +382,8 @@ export function mapView(app) {
     draw,
     point: drawOver,
     resized: () => (places = null),
+    rescaled: () => (places = null),
   };
-}
-
-/**
- * Title of an axis with its unit, and its scale unless that is linear.
- * @type {(column: Column) => string}
- */
-function axisTitle({ title, names, diverges }) {
-  return diverges && !names ? `${title} (symlog)` : title;
 }
 
 /**

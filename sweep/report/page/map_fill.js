@@ -1,5 +1,5 @@
 // Filling of a map: cells, marks or densities, in the colours of kinds, rates or metrics.
-import { asinhLike, clamp, mixColours, packRgb, scaleColour } from "./numbers.js";
+import { arcsinh, clamp, mixColours, packRgb, scaleColour } from "./numbers.js";
 import { fillCell, makeGlyph, paintKind, drawStamp, makeStamp } from "./raster.js";
 
 /** @import { Box } from "./axes.js" */
@@ -66,12 +66,12 @@ function makeRowColour({ table, state }, here, by) {
   const column = table.named.get(by);
   if (!column) return null;
   const [low, high] = colourRange(column);
-  const most = asinhLike(Math.max(-low, high));
+  const most = arcsinh(Math.max(-low, high), column.linear);
   return (k) => {
     const value = column.values[here.rows[k]];
     if (Number.isNaN(value)) return 0;
     return column.diverges
-      ? scaleColour(0.5 + asinhLike(value) / most / 2, true)
+      ? scaleColour(0.5 + arcsinh(value, column.linear) / most / 2, true)
       : scaleColour((value - low) / (high - low));
   };
 }

@@ -146,22 +146,20 @@ export function mixColours(from, to, share) {
   return [part(0), part(1), part(2)];
 }
 
-const LINEAR = 0.1; // up to which the scale is linear
-
 /**
- * Map a number to a scale that is linear near zero and logarithmic beyond (inverse hyperbolic sine).
- * @type {(value: number) => number}
+ * Map a number to a scale that is linear within `linear` of zero and logarithmic beyond (inverse hyperbolic sine).
+ * @type {(value: number, linear: number) => number}
  */
-export function asinhLike(value) {
-  return Math.asinh(value / LINEAR);
+export function arcsinh(value, linear) {
+  return Math.asinh(value / linear);
 }
 
 /**
- * Inverse of `asinhLike`.
- * @type {(share: number) => number}
+ * Inverse of `arcsinh`.
+ * @type {(length: number, linear: number) => number}
  */
-export function inverseAsinhLike(share) {
-  return LINEAR * Math.sinh(share);
+export function inverseArcsinh(length, linear) {
+  return linear * Math.sinh(length);
 }
 
 /**

@@ -1,19 +1,31 @@
 // Parallel coordinates: a line for each rollout from axis to axis, brushed along each; drawn in slices of time.
 import { axisMapping, snapToGrid, axisTicks } from "./axes.js";
+import { makeAxisMenu } from "./axis_menu.js";
 import { clipName, gridValues } from "./data.js";
-import { byId, cssColour, pointerPosition, prepareCanvas, drawLine } from "./dom.js";
-import { clamp, formatCount, rowLottery, formatShort } from "./numbers.js";
+import { CLICK_REACH, byId, cssColour, drawLine, element, placeTip, pointerPosition, prepareCanvas } from "./dom.js";
+import {
+  clamp,
+  formatApart,
+  formatCount,
+  formatShort,
+  isRoundingRange,
+  lastIndexBelow,
+  rowLottery,
+} from "./numbers.js";
 import { setRange } from "./selection.js";
 
-/** @import { Way } from "./axes.js" */
 /** @import { Column } from "./data.js" */
 /** @import { App, View } from "./main.js" */
+/** @import { LineAxis } from "./selection.js" */
 
 const MAX_AXES = 10; // axes side by side
 const MIN_AXIS_WIDTH = 84; // CSS pixels between axes that a title needs
 const DRAW_TIME = 16; // ms of drawing before the page handles events
 const LINES_BETWEEN_CHECKS = 150; // lines drawn between two checks of the time
+const HOVER_REACH = 7; // CSS pixels from a line to the pointer that points at it
+const MOVE_REACH = 12; // CSS pixels from which a click on a title is a drag
 const NAME_SPREAD = 0.2; // share of the step between names over which lines are spread
+const BRUSH_WIDTH = 16; // CSS pixels of a range on its axis
 const FRAME = { left: 46, right: 46, top: 52, bottom: 30 };
 
 /** @type {(app: App) => View} */
@@ -21,14 +33,12 @@ export function parallelView(app) {
   const { table, state } = app;
   const base = /** @type {HTMLCanvasElement} */ (byId("lines-base"));
   const over = /** @type {HTMLCanvasElement} */ (byId("lines-over"));
-  const first = parallelAxes(app);
-  /** @type {Column[]} in the order of the reader */
-  let every = [...first];
+  const tip = element("div", { class: "tip", hidden: "" });
+  over.after(tip);
+  const first = parallelAxes(app).map((column) => ({ column, inverted: false }));
   const order = shuffledRows(table.rows);
-  /** @type {Map<Column, Way>} axes that are not even and upright */
-  const ways = new Map();
-  const partOf = (/** @type {Column} */ column) => {
-    const { to } = axisMapping(column, ways.get(column));
+  const partOf = (/** @type {LineAxis} */ { column, inverted }) => {
+    const { to } = axisMapping(column, inverted);
     const { values, names, low, high } = column;
     if (!names || !(high > low)) return Float32Array.from(values, to);
     const scale = 1 - NAME_SPREAD / (high - low);
@@ -36,11 +46,12 @@ export function parallelView(app) {
       to(low + scale * (value - low) + (NAME_SPREAD * rowLottery(row)) / 1000),
     );
   };
+  let every = state.lines.length ? state.lines : first;
   /** @type {Float32Array[]} shares of each axis by row */
   let parts = every.map(partOf);
-  let [axes, shares] = [every, parts];
+  let [axes, shares] = [every, parts]; // those that fit
   let job = 0; // number of the drawing in progress
-  /** @type {{ axis: number, from: number, x: number, title: boolean } | null} */
+  /** @type {{ axis: number, from: number, x: number, title: boolean, dragged: boolean } | null} */
   let pressed = null;
   let keyed = 0; // axis that the keyboard moves
 
@@ -59,6 +70,7 @@ export function parallelView(app) {
     const kept = every.map((_, axis) => axis).filter((axis) => axis < room - 1 || axis === every.length - 1);
     [axes, shares] = [kept.map((axis) => every[axis]), kept.map((axis) => parts[axis])];
     keyed = Math.min(keyed, axes.length - 1);
+    menu.show(every, axes.length);
   };
 
   /** @returns {Promise<void>} until all lines are drawn */
@@ -86,7 +98,7 @@ export function parallelView(app) {
     };
     const frame = () => {
       pen.globalAlpha = 1;
-      axes.forEach((column, axis) => {
+      axes.forEach(({ column, inverted }, axis) => {
         pen.strokeStyle = line;
         pen.lineWidth = 1;
         drawLine(pen, places[axis], top, places[axis], top + height);
@@ -99,25 +111,25 @@ export function parallelView(app) {
         const room = axes.length > 1 ? (area().width / (axes.length - 1)) * 0.96 : width;
         titleLines(column).forEach((text, k) => pen.fillText(text, at, 18 + 15 * k, room));
         pen.fillStyle = soft;
-        const { to } = axisMapping(column, ways.get(column));
-        const worded = (/** @type {number} */ value) =>
-          column.names ? (column.names[value] ?? "") : formatShort(value);
-        const [over, under] = ways.get(column) === "inverted" ? [column.low, column.high] : [column.high, column.low];
-        pen.fillText(worded(over), at, top - 4, room);
+        const { to } = axisMapping(column, inverted);
+        const same = !column.names && isRoundingRange(column.low, column.high);
+        const values = [column.high, column.low, ...(same ? [] : axisTicks(column, 4))];
+        const texts = column.names ? values.map((value) => column.names?.[value] ?? "") : formatApart(values);
+        if (!same) pen.fillText(texts[inverted ? 1 : 0], at, top - 4, room);
         pen.textBaseline = "top";
-        pen.fillText(worded(under), at, top + height + 6, room);
+        if (!same) pen.fillText(texts[inverted ? 0 : 1], at, top + height + 6, room);
         pen.textBaseline = "middle";
         pen.textAlign = axis === axes.length - 1 && axes.length > 1 ? "right" : "left";
         const aside = pen.textAlign === "left" ? 5 : -5;
         pen.strokeStyle = cssColour(paper, 0.85); // dims lines behind the numbers
         pen.lineWidth = 3;
-        for (const value of axisTicks(column, ways.get(column), 4)) {
-          const share = to(value);
-          if (share <= 0.08 || share >= 0.92) continue;
+        values.slice(same ? 1 : 2).forEach((value, k) => {
+          const [share, text] = [to(value), texts[same ? 0 : k + 2]];
+          if (share <= 0.08 || share >= 0.92) return;
           const y = top + (1 - share) * height;
-          pen.strokeText(worded(value), places[axis] + aside, y, room / 2);
-          pen.fillText(worded(value), places[axis] + aside, y, room / 2);
-        }
+          pen.strokeText(text, places[axis] + aside, y, room / 2);
+          pen.fillText(text, places[axis] + aside, y, room / 2);
+        });
       });
     };
     pen.fillStyle = cssColour(paper);
@@ -162,17 +174,18 @@ export function parallelView(app) {
   const drawOver = () => {
     const { pen } = prepareCanvas(over);
     const { top, height } = area();
-    axes.forEach((column, axis) => {
+    axes.forEach(({ column, inverted }, axis) => {
       const range = state.ranges.get(column.key);
       if (!range) return;
-      const { to } = axisMapping(column, ways.get(column));
+      const { to } = axisMapping(column, inverted);
       const [low, high] = [range.low, range.high].map((value) => clamp(to(value), 0, 1)).sort((a, b) => a - b);
       pen.fillStyle = app.theme().accent;
       pen.globalAlpha = 0.22;
-      pen.fillRect(xOf(axis) - 8, top + (1 - high) * height, 16, (high - low) * height);
+      pen.fillRect(xOf(axis) - BRUSH_WIDTH / 2, top + (1 - high) * height, BRUSH_WIDTH, (high - low) * height);
       pen.globalAlpha = 1;
       pen.strokeStyle = app.theme().accent;
-      pen.strokeRect(xOf(axis) - 8, top + (1 - high) * height, 16, Math.max(1, (high - low) * height));
+      const size = Math.max(1, (high - low) * height);
+      pen.strokeRect(xOf(axis) - BRUSH_WIDTH / 2, top + (1 - high) * height, BRUSH_WIDTH, size);
     });
     for (const row of [state.chosen, state.cursor]) {
       if (row < 0) continue;
@@ -188,67 +201,118 @@ export function parallelView(app) {
   const nearest = (/** @type {number} */ x) =>
     axes.reduce((best, _, axis) => (Math.abs(xOf(axis) - x) < Math.abs(xOf(best) - x) ? axis : best), 0);
 
-  /**
-   * Move an axis, change its mode, or drop it.
-   * @param {Column} column
-   * @param {number} to new position among the shown axes, -1 to stay
-   * @param {boolean} dropped
-   */
-  const arrange = (column, to, dropped) => {
-    if (dropped && every.length > 2) every = every.filter((one) => one !== column);
-    else if (to >= 0) {
-      const target = axes[to];
-      const later = every.indexOf(target) > every.indexOf(column);
-      every = every.filter((one) => one !== column);
-      every.splice(every.indexOf(target) + Number(later && target !== column), 0, column);
-    } else {
-      const next = nextAxisMode(column, ways.get(column));
-      if (next) ways.set(column, next);
-      else ways.delete(column);
-    }
+  /** @param {LineAxis[]} lines the new axes; none for those of the page */
+  const arrange = (lines) => {
+    state.lines = lines;
+    every = lines.length ? lines : first;
     parts = every.map(partOf);
     fit();
     app.redraw();
   };
-  byId("lines-reset").addEventListener("click", () => {
-    every = [...first];
-    ways.clear();
-    parts = every.map(partOf);
-    fit();
-    app.redraw();
-  });
+  const menu = makeAxisMenu(app, arrange);
+  byId("lines-reset").closest("p")?.after(menu.root);
+  byId("lines-reset").addEventListener("click", () => arrange([]));
+
+  /**
+   * Move an axis to the place of another one.
+   * @type {(axis: LineAxis, target: LineAxis) => void}
+   */
+  const move = (axis, target) => {
+    if (axis === target) return;
+    const later = every.indexOf(target) > every.indexOf(axis);
+    const others = every.filter((one) => one !== axis);
+    arrange(others.toSpliced(others.indexOf(target) + Number(later), 0, axis));
+  };
+
+  /**
+   * What a click on the title of an axis does, or a drag of it to a place: it inverts, moves or drops the axis.
+   * @type {(axis: number, dragged: number, x: number, y: number) => void}
+   */
+  const arrangeByTitle = (axis, dragged, x, y) => {
+    const own = axes[axis];
+    if (y > base.clientHeight) {
+      if (every.length > 2) arrange(every.filter((one) => one !== own));
+    } else if (dragged > MOVE_REACH) move(own, axes[nearest(x)]);
+    else arrange(every.map((one) => (one === own ? { ...one, inverted: !one.inverted } : one)));
+  };
+
+  /**
+   * The row whose line is next to a place, -1 for none.
+   * @type {(x: number, y: number) => number}
+   */
+  const rowAt = (x, y) => {
+    const places = axes.map((_, axis) => xOf(axis));
+    const left = clamp(lastIndexBelow(places, x), 0, axes.length - 2);
+    const part = clamp((x - places[left]) / (places[left + 1] - places[left]), 0, 1);
+    const [share, reach] = [1 - (y - area().top) / area().height, HOVER_REACH / area().height];
+    let [best, least] = [-1, reach];
+    for (let row = 0; row < table.rows; row++) {
+      if (!state.mask[row]) continue;
+      const away = Math.abs((1 - part) * shares[left][row] + part * shares[left + 1][row] - share);
+      if (away < least) [best, least] = [row, away];
+    }
+    return best;
+  };
+
+  /** @type {(row: number, x: number, y: number) => void} */
+  const show = (row, x, y) => {
+    app.point(row);
+    tip.hidden = row < 0;
+    if (row < 0) return;
+    tip.replaceChildren(
+      ...app.words(
+        row,
+        axes.map(({ column }) => column),
+      ),
+    );
+    placeTip(tip, x, y);
+  };
 
   over.addEventListener("pointerdown", (event) => {
     const [x, y] = pointerPosition(event, over);
-    pressed = { axis: nearest(x), from: y, x, title: y < FRAME.top - 14 };
+    pressed = { axis: nearest(x), from: y, x, title: y < FRAME.top - 14, dragged: false };
     over.setPointerCapture(event.pointerId);
   });
   over.addEventListener("pointermove", (event) => {
-    if (!pressed || pressed.title) return;
-    const [, y] = pointerPosition(event, over);
-    if (Math.abs(y - pressed.from) < 4) return;
-    const column = axes[pressed.axis];
-    const along = axisMapping(column, ways.get(column));
+    const [x, y] = pointerPosition(event, over);
+    if (!pressed) return show(rowAt(x, y), x, y);
+    if (pressed.title || (!pressed.dragged && Math.abs(y - pressed.from) < CLICK_REACH)) return;
+    pressed.dragged = true;
+    show(-1, x, y);
+    const { column, inverted } = axes[pressed.axis];
+    const along = axisMapping(column, inverted);
     setRange(state, column.key, snapToGrid(along, gridValues(column), shareAt(pressed.from), shareAt(y)));
     app.filtered();
   });
   over.addEventListener("pointerup", (event) => {
     const [x, y] = pointerPosition(event, over);
-    if (pressed?.title)
-      arrange(axes[pressed.axis], Math.abs(x - pressed.x) > 12 ? nearest(x) : -1, y > base.clientHeight);
-    else if (pressed && Math.abs(y - pressed.from) < 4) {
-      setRange(state, axes[pressed.axis].key, null);
-      app.filtered();
+    if (pressed?.title) arrangeByTitle(pressed.axis, Math.abs(x - pressed.x), x, y);
+    else if (pressed && !pressed.dragged) {
+      const { key } = axes[pressed.axis].column;
+      const row = rowAt(x, y);
+      if (state.ranges.has(key) && Math.abs(x - xOf(pressed.axis)) <= BRUSH_WIDTH / 2) {
+        setRange(state, key, null);
+        app.filtered();
+      } else if (row >= 0) {
+        if (event.pointerType === "touch") show(row, x, y);
+        app.choose(row);
+      }
     }
     pressed = null;
   });
+  over.addEventListener("pointercancel", () => (pressed = null));
+  over.addEventListener("pointerleave", (event) => {
+    if (!pressed && event.pointerType !== "touch") show(-1, 0, 0);
+  });
   over.addEventListener("keydown", (event) => {
-    const column = axes[keyed];
+    const { column } = axes[keyed];
     const size = column.high - column.low;
     const range = state.ranges.get(column.key) ?? { low: column.low, high: column.high };
     const step = 0.05 * size * (event.key === "ArrowUp" ? 1 : -1);
     if (event.key === "ArrowLeft" || event.key === "ArrowRight") {
-      keyed = clamp(keyed + (event.key === "ArrowRight" ? 1 : -1), 0, axes.length - 1);
+      const next = clamp(keyed + (event.key === "ArrowRight" ? 1 : -1), 0, axes.length - 1);
+      if (event.shiftKey) move(axes[keyed], axes[next]);
+      keyed = next;
     } else if (event.key === "ArrowUp" || event.key === "ArrowDown") {
       const end = event.shiftKey ? "high" : "low";
       setRange(state, column.key, { ...range, [end]: clamp(range[end] + step, column.low, column.high) });
@@ -258,20 +322,11 @@ export function parallelView(app) {
       app.filtered();
     } else return;
     event.preventDefault();
-    const now = state.ranges.get(axes[keyed].key);
+    const now = state.ranges.get(axes[keyed].column.key);
     const said = now ? `from ${formatShort(now.low)} to ${formatShort(now.high)}` : "all";
-    app.tell(`${axes[keyed].title}: ${said}; ${formatCount(state.passing)} rollouts`);
+    app.tell(`${axes[keyed].column.title}: ${said}; ${formatCount(state.passing)} rollouts`);
   });
-  return { root: base, draw, point: drawOver };
-}
-
-/**
- * Next mode of an axis when its title is clicked: linear, inverted, logarithmic if possible, linear again.
- * @type {(column: Column, way?: Way) => Way | undefined}
- */
-function nextAxisMode({ low, names }, way) {
-  if (!way) return "inverted";
-  return way === "inverted" && low > 0 && !names ? "log" : undefined;
+  return { root: base, draw, point: drawOver, rescaled: () => (parts = every.map(partOf)) };
 }
 
 /**
@@ -286,9 +341,14 @@ function parallelAxes({ table, ranked }) {
 }
 
 /** @type {(column: Column) => string[]} */
-function titleLines({ label, unit }) {
+function titleLines({ label, unit, scale, names }) {
   const cut = label.indexOf(" (");
-  const second = [cut > 0 ? label.slice(cut + 1) : "", unit ? `[${unit}]` : ""].filter(Boolean).join(" ");
+  const parts = [
+    cut > 0 ? label.slice(cut + 1) : "",
+    unit ? `[${unit}]` : "",
+    names || scale === "linear" ? "" : scale,
+  ];
+  const second = parts.filter(Boolean).join(" ");
   return [clipName(cut > 0 ? label.slice(0, cut) : label), second];
 }
 

@@ -1,7 +1,8 @@
 // State of the page: filters, the rows that pass them, and the chosen row.
 
-/** @import { Table } from "./data.js" */
+/** @import { Column, Table } from "./data.js" */
 /** @typedef {{ low: number, high: number }} Range */
+/** @typedef {{ column: Column, inverted: boolean }} LineAxis an axis of the parallel coordinates */
 
 /**
  * @typedef {object} State
@@ -10,6 +11,7 @@
  * @property {Map<string, number>} fixed values of further axes in the map's slice
  * @property {Set<number>} hidden kinds
  * @property {Uint8Array} mask 1 for each row that passes
+ * @property {LineAxis[]} lines axes of the parallel coordinates that the reader chose; empty for those of the page
  * @property {number} passing
  * @property {number} cursor the row under the pointer, -1 for none
  * @property {number} chosen the row that was clicked, -1 for none
@@ -19,7 +21,7 @@
 export function makeState(table) {
   const mask = new Uint8Array(table.rows).fill(1);
   const [ranges, fixed, hidden] = [new Map(), new Map(), new Set()];
-  return { table, ranges, fixed, hidden, mask, passing: table.rows, cursor: -1, chosen: -1 };
+  return { table, ranges, fixed, hidden, lines: [], mask, passing: table.rows, cursor: -1, chosen: -1 };
 }
 
 /**

@@ -1,7 +1,10 @@
 // The page's state in its address, so that reloads and links keep it; and the filters as a condition of the command line.
 
+import { allowedScales, columnScale } from "./axes.js";
+
+/** @import { ScaleKind } from "./axes.js" */
 /** @import { Table } from "./data.js" */
-/** @import { Range, State } from "./selection.js" */
+/** @import { LineAxis, Range, State } from "./selection.js" */
 
 /**
  * @typedef {object} AddressState
@@ -11,11 +14,13 @@
  * @property {Map<string, Range>} ranges
  * @property {Map<string, number>} fixed values of further axes
  * @property {Set<number>} hidden kinds
+ * @property {Map<string, ScaleKind>} scales of columns whose scale the reader chose
+ * @property {LineAxis[]} lines axes of the parallel coordinates that the reader chose; empty for those of the page
  * @property {string} point first digits of a row's point id
  * @property {number | null} time s
  */
 
-const RESERVED_KEYS = ["x", "y", "colour", "hide", "point", "time"];
+const RESERVED_KEYS = ["x", "y", "colour", "hide", "scale", "line", "point", "time"];
 
 /**
  * Parse the state in an address; columns and kinds that this study lacks are ignored.
@@ -35,6 +40,17 @@ export function parseAddress(table, hash) {
     if (low <= high) ranges.set(key, { low, high });
     else if (text.startsWith("@")) fixed.set(key, Number(text.slice(1)));
   }
+  const scales = params.getAll("scale").flatMap((text) => {
+    const [key, kind] = splitAtLast(text, ":");
+    const column = table.named.get(key);
+    const scale = column && allowedScales(column).find((one) => one === kind);
+    return scale ? [/** @type {const} */ ([key, scale])] : [];
+  });
+  const lines = params.getAll("line").flatMap((text) => {
+    const [key, way] = splitAtLast(text, ":");
+    const column = table.named.get(key);
+    return column ? [{ column, inverted: way === "inverted" }] : [];
+  });
   const time = Number(params.get("time") ?? NaN);
   return {
     x: params.get("x") ?? "",
@@ -43,9 +59,20 @@ export function parseAddress(table, hash) {
     ranges,
     fixed,
     hidden: new Set(hidden.filter((kind) => kind >= 0)),
+    scales: new Map(scales),
+    lines: lines.length > 1 ? lines : [],
     point: params.get("point") ?? "",
     time: Number.isFinite(time) ? time : null,
   };
+}
+
+/**
+ * Split a text at the last place of a sign, as names of columns may have the sign, too.
+ * @type {(text: string, sign: string) => [string, string]}
+ */
+function splitAtLast(text, sign) {
+  const at = text.lastIndexOf(sign);
+  return at < 0 ? [text, ""] : [text.slice(0, at), text.slice(at + 1)];
 }
 
 /**
@@ -60,6 +87,10 @@ export function formatAddress(table, state, { x, y, colour, point, time }) {
   for (const [key, { low, high }] of state.ranges) params.append(key, `${low}..${high}`);
   for (const [key, value] of state.fixed) params.append(key, `@${value}`);
   if (state.hidden.size) params.set("hide", [...state.hidden].map((kind) => table.about.kinds[kind].key).join());
+  for (const column of table.columns)
+    if (column.scale !== columnScale(column)) params.append("scale", `${column.key}:${column.scale}`);
+  for (const { column, inverted } of state.lines)
+    params.append("line", `${column.key}:${inverted ? "inverted" : "upright"}`);
   if (point) params.set("point", point);
   if (time !== null) params.set("time", time.toFixed(2));
   return `#${params}`;
