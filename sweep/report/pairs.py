@@ -52,6 +52,14 @@ def join_pairs(a: Results, b: Results) -> tuple[Results, pd.DataFrame]:
     return replace(a, rows=rows), pairs
 
 
+def split_sides(pairs: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """Return outcome and cause of the rollout of A and of that of B of each pair, by the name of the side."""
+    return {
+        side: pairs[[f"outcome{mark}", f"cause{mark}"]].set_axis(["outcome", "cause"], axis="columns")
+        for side, mark in (("A", ""), ("B", SECOND_RUN_MARK))
+    }
+
+
 def pairs_headline(pairs: pd.DataFrame, a: Path, b: Path, unit: np.ndarray | None = None) -> str:
     """State in a sentence how many outcomes differ between two studies, and whether chance explains it.
 

@@ -79,9 +79,23 @@ def test_flips_play_in_both(folders, flips):
     one, other = ({path.name.split("-")[1] for path in (folder / "replays").iterdir()} for folder in folders)
     assert one == other
     assert len(one) == 3
-    left, top, _, _ = flips.place("#map-over")
-    flips.click(left + 80, top + 30)
-    flips.until("document.querySelector('#replay-with').value")
+    a, b = (results.read_results(folder).rows["outcome"].eq("success").sum() for folder in folders)
+    titles = flips.run("[...document.querySelectorAll('#sides [role=img]')].map((one) => one.ariaLabel)")
+    assert f"A, a: {a} of 30 succeed" in titles[0]
+    assert f"B, b: {b} of 30 succeed" in titles[1]
+    flips.until("document.querySelector('#sides-key canvas').width && 1")
+    inked = """[...document.querySelectorAll('#sides .over')].map((one) => one.getContext('2d')
+        .getImageData(0, 0, one.width, one.height).data.reduce((sum, byte) => sum + byte, 0))"""
+    left, top, _, _ = flips.place("#sides .over")
+    before = flips.run(inked)
+    flips.mouse("Moved", left + 90, top + 60)
+    ringed = flips.run(inked)
+    assert [after > was for after, was in zip(ringed, before, strict=True)] == [True, True]
+    words = flips.run("document.querySelector('#sides .tip').innerText")
+    assert "A\nfell" in words
+    assert "B\nslipped" in words
+    flips.click(left + 90, top + 60)
+    flips.until(f"{SHOWN}.map((text) => text[0]).join('') === 'AB'")
     one, other = flips.run(SHOWN)
     assert one.startswith("A fell")
     assert other.startswith("B success")

@@ -80,6 +80,7 @@ def print_replay_progress(done: int, total: int) -> str:
 def write_pairs_page(args: argparse.Namespace, a: "Results", folder: Path) -> int:
     """Write the page that compares two folders."""
     from sweep.analysis import compare
+    from sweep.cli.policy_race import name_folders
     from sweep.core.progress import show_counts
     from sweep.report import page, pairs
     from sweep.runs import device_choice, results
@@ -98,6 +99,8 @@ def write_pairs_page(args: argparse.Namespace, a: "Results", folder: Path) -> in
         pairs.pairs_headline(table, args.dir, args.b, unit),
         list(pairs.difference_figure(found, table)),
         list(pairs.pairs_tables(table, unit)),
+        pairs.split_sides(table),
+        tuple(name_folders([args.dir, args.b])),
     )
     path = path_inside_folder(folder, f"report_{args.b.resolve().name}.html")
     print(page.write_page(found, path, shown=list(pairs.read_pair_replays(a, b)), pairs=about))

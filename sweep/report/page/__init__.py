@@ -95,6 +95,8 @@ class PairsContent:
     headline: str
     figures: list[StudyFigure]
     tables: list[tuple[str, pd.DataFrame]]
+    sides: dict[str, pd.DataFrame]  # outcome and cause of each pair's rollout, by the name of the side
+    folders: tuple[str, ...]  # names of the studies
 
 
 def render_page(
@@ -132,6 +134,7 @@ def render_page(
         "independent": independent,
         "adaptive": results.exp.study.is_adaptive and not pairs,
         "curves": [] if pairs else list(data.alone_curves(results)),
+        "sides": data.describe_sides(results, pairs.sides, pairs.folders) if pairs else None,
     }
     others = [
         style,

@@ -101,6 +101,18 @@ import { clamp } from "./numbers.js";
  */
 
 /**
+ * Outcomes of both rollouts of each pair, on a page that compares two studies.
+ * @typedef {object} SidesFormat
+ * @property {Kind[]} styles kinds of outcomes that occur in either
+ * @property {string[]} names
+ * @property {string[]} folders
+ * @property {{ success: number, valid: number }[]} counts of all rollouts
+ * @property {string} block kinds of the rows, those of A before those of B
+ */
+
+/** @typedef {Omit<SidesFormat, "block"> & { kinds: Uint8Array[] }} Sides */
+
+/**
  * @typedef {object} About
  * @property {string} name
  * @property {string} folder
@@ -118,6 +130,7 @@ import { clamp } from "./numbers.js";
  * @property {Curve[]} curves parameters that vary alone; empty for other studies
  * @property {Record<string, number> | null} effects Sobol indices of a refined map, by column
  * @property {string[]} start
+ * @property {SidesFormat | null} [sides] of a page that compares two studies
  * @property {Theory[]} theory
  * @property {Mesh | null} refined_cells
  * @property {Binned[]} densities
@@ -163,6 +176,7 @@ import { clamp } from "./numbers.js";
  * @property {Int32Array | null} mesh rows at the corners of cells, four a cell
  * @property {AloneAxis[]} alone parameters that vary alone
  * @property {Map<number, number>} replayed replays by row
+ * @property {Sides | null} sides of a page that compares two studies
  */
 
 const MISSING = 65535;
@@ -216,8 +230,15 @@ export async function readTable(about) {
     named,
     alone: await Promise.all(alone),
     mesh: about.refined_cells ? new Int32Array(await inflate(about.refined_cells.block)) : null,
+    sides: about.sides ? await readSides(about.sides, rows) : null,
     replayed: new Map(about.replays.map((one, k) => /** @type {const} */ ([one.row, k])).filter(([row]) => row >= 0)),
   };
+}
+
+/** @type {(format: SidesFormat, rows: number) => Promise<Sides>} */
+async function readSides({ block, ...format }, rows) {
+  const bytes = new Uint8Array(await inflate(block));
+  return { ...format, kinds: [bytes.subarray(0, rows), bytes.subarray(rows)] };
 }
 
 /**

@@ -5,7 +5,8 @@ of its point id; then each column as whole numbers of two bytes, all the low byt
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -103,6 +104,32 @@ def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
         "refined_cells": refined_cells(results) if len(rows) == len(results.rows) else None,
         "effects": total_effects_of_refined_map(results),
         "densities": list(count_densities(results, kinds)) if len(rows) < len(results.rows) else [],
+    }
+
+
+def describe_sides(results: Results, sides: Mapping[str, pd.DataFrame], folders: Sequence[str]) -> dict[str, Any]:
+    """Describe the outcomes of both rollouts of each pair, for the two maps of a page that compares studies.
+
+    Args:
+        results: rows of pairs, see `pairs.join_pairs`; its system names the causes.
+        sides: outcome and cause of each pair's rollout, by the name of the side.
+        folders: names of the studies.
+
+    Returns:
+        Plain values, see `SidesFormat` in `data.js`.
+    """
+    styles = outcome_kinds_for_page(replace(results, rows=pd.concat(sides.values(), ignore_index=True)))
+    some = sample_row_indices(len(results.rows))
+    kinds = [outcome_kind_indices(one.iloc[some], styles).astype(np.uint8) for one in sides.values()]
+    counts = [one["outcome"].value_counts() for one in sides.values()]
+    return {
+        "styles": styles,
+        "names": list(sides),
+        "folders": list(folders),
+        "counts": [
+            {"success": int(one.get("success", 0)), "valid": int(one.sum() - one.get("invalid", 0))} for one in counts
+        ],
+        "block": encode_text(b"".join(one.tobytes() for one in kinds)),
     }
 
 

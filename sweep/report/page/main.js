@@ -20,6 +20,7 @@ import { parallelView } from "./parallel.js";
 import { makePlayer } from "./player.js";
 import { formatCsv, download, offerPictures } from "./export.js";
 import { setRange, clearFilters, applyFilters, makeState } from "./selection.js";
+import { sidesView } from "./sides.js";
 
 /** @import { ScaleKind } from "./axes.js" */
 /** @import { AddressState } from "./url_state.js" */
@@ -197,6 +198,7 @@ async function startPage() {
     views.push(
       ...(table.alone.length ? [curvesView(app)] : []),
       mapView(app),
+      ...(table.sides ? [sidesView(app, table.sides)] : []),
       parallelView(app),
       stageView(app),
       importanceView(app),
@@ -326,6 +328,10 @@ function describeRow({ table }, row, columns) {
   if (Number.isFinite(when)) head.push(` at ${formatShort(when)} s`);
   const shown = new Set([...columns, ...table.columns.filter((column) => column.axis).slice(0, 8)]);
   for (const column of table.columns) if (shown.size < 14 && !Number.isNaN(column.values[row])) shown.add(column);
+  const sides = (table.sides?.kinds ?? []).flatMap((kinds, side) => [
+    element("dt", {}, table.sides?.names[side] ?? ""),
+    element("dd", {}, clipName(table.sides?.styles[kinds[row]].label ?? "")),
+  ]);
   const lines = [...shown].flatMap((column) => [
     element("dt", {}, column.label),
     element("dd", {}, formatColumnValue(column, column.values[row])),
@@ -333,7 +339,7 @@ function describeRow({ table }, row, columns) {
   const own = table.replayed.has(row) ? "click: its replay" : table.replayed.size ? "click: the nearest replay" : "";
   return [
     element("strong", {}, clipName(head.join(""))),
-    element("dl", {}, ...lines),
+    element("dl", {}, ...sides, ...lines),
     element("span", { class: "soft" }, `${pointId(table, row)}${own ? `, ${own}` : ""}`),
   ];
 }

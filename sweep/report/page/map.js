@@ -27,7 +27,7 @@ import {
 import { clamp, formatCount, packRgb, scaleColour, formatShort } from "./numbers.js";
 import { GLYPH_SIZE, rowNear, makePixels } from "./raster.js";
 import { drawContour, drawOutlines, drawRing, drawAnalyticLimits, drawZeroMargin } from "./map_overlays.js";
-import { setRange, clearFilters } from "./selection.js";
+import { setRange, clearFilters, isInSlice } from "./selection.js";
 
 /** @import { Box } from "./axes.js" */
 /** @import { PlacedRows } from "./cells.js" */
@@ -82,11 +82,7 @@ export function mapView(app) {
 
   const lay = () => {
     const [x, y] = columns();
-    const within = (/** @type {number} */ row) => {
-      for (const [key, value] of state.fixed) if (table.named.get(key)?.values[row] !== value) return false;
-      return true;
-    };
-    places = placeRows(table, x, y, within, box().width / 70);
+    places = placeRows(table, x, y, (row) => isInSlice(state, row), box().width / 70);
     anchor = null;
   };
 

@@ -148,7 +148,7 @@ export function drawRing(app, pen, [u, v], size, colour, widths) {
  * @param {[number, number]} widths of its outline, and of the line itself
  * @param {() => void} path
  */
-function drawOutlinedLine(app, pen, colour, [around, own], path) {
+export function drawOutlinedLine(app, pen, colour, [around, own], path) {
   pen.beginPath();
   path();
   [pen.strokeStyle, pen.lineWidth] = [app.theme().panel, around];

@@ -44,6 +44,15 @@ export function applyFilters(state) {
 }
 
 /**
+ * Whether a row has the values at which the map's further axes are fixed.
+ * @type {(state: State, row: number) => boolean}
+ */
+export function isInSlice({ table, fixed }, row) {
+  for (const [key, value] of fixed) if (table.named.get(key)?.values[row] !== value) return false;
+  return true;
+}
+
+/**
  * Remove all filters.
  * @param {State} state
  */

@@ -1,0 +1,243 @@
+// Maps of both rollouts of each pair, A beside B, on the page that compares two studies.
+import { axisTitle, drawFrame } from "./axes.js";
+import { placeRows } from "./cells.js";
+import { drawKindBox } from "./charts.js";
+import { clipName } from "./data.js";
+import { byId, element, kindStyle, placeTip, pointerPosition, prepareCanvas, shortenToFit } from "./dom.js";
+import { KIND, markSize, paintCells, paintMarks, rowPosition } from "./map_fill.js";
+import { drawOutlinedLine, drawRing } from "./map_overlays.js";
+import { formatCount, packRgb } from "./numbers.js";
+import { makePixels, rowNear } from "./raster.js";
+import { isInSlice } from "./selection.js";
+
+/** @import { Box } from "./axes.js" */
+/** @import { PlacedRows } from "./cells.js" */
+/** @import { Kind, Sides, Table } from "./data.js" */
+/** @import { App, View } from "./main.js" */
+/** @import { Pixels } from "./raster.js" */
+
+const SIDE_MARGIN = { left: 56, right: 10, top: 26, bottom: 46 };
+const FLIP_WIDTHS = /** @type {[number, number]} */ ([3.4, 1.5]); // of the outline around flips, and of its line
+
+/**
+ * One of the two maps.
+ * @typedef {object} SideMap
+ * @property {App} own the page, with the outcomes of this side as kinds
+ * @property {string} title
+ * @property {HTMLCanvasElement} base
+ * @property {HTMLCanvasElement} over
+ * @property {HTMLElement} tip
+ * @property {Pixels | null} pixels
+ */
+
+/** @type {(app: App, sides: Sides) => View} */
+export function sidesView(app, sides) {
+  const { table, state } = app;
+  const root = byId("sides");
+  /** @type {PlacedRows | null} */
+  let places = null;
+  let placed = ""; // columns and slice that `places` are of
+  const flips = flippedRows(sides);
+  const maps = sides.kinds.map((kind, side) => makeMap(kind, sideTitle(table, sides, side)));
+  root.replaceChildren(...maps.map(({ base, over, tip }) => element("div", { class: "plot side" }, base, over, tip)));
+
+  /** @type {(kind: Uint8Array, name: string) => SideMap} */
+  function makeMap(kind, title) {
+    const label = `Map of the outcomes. ${title}. The map of pairs below has the same points and can be used by keys.`;
+    const own = {
+      ...app,
+      table: { ...table, kind, about: { ...table.about, kinds: sides.styles } },
+      looks: () => sides.styles.map((style) => kindStyle(style, app.theme())),
+    };
+    const base = element("canvas", { role: "img", "aria-label": label });
+    const over = element("canvas", { class: "over", "aria-hidden": "true" });
+    const tip = element("div", { class: "tip", hidden: "" });
+    const map = /** @type {SideMap} */ ({ own, title, base, over, tip, pixels: null });
+    over.addEventListener("pointermove", (event) => show(map, rowAt(map, pointerPosition(event, over))));
+    over.addEventListener("pointerleave", (event) => event.pointerType !== "touch" && show(map, -1));
+    over.addEventListener("click", (event) => {
+      const row = rowAt(map, pointerPosition(event, over));
+      if (row < 0) return;
+      show(map, row);
+      app.choose(row);
+    });
+    return map;
+  }
+
+  /** @type {(map: SideMap) => Box} */
+  const boxOf = ({ base }) => ({
+    left: SIDE_MARGIN.left,
+    top: SIDE_MARGIN.top,
+    width: Math.max(10, base.clientWidth - SIDE_MARGIN.left - SIDE_MARGIN.right),
+    height: Math.max(10, base.clientHeight - SIDE_MARGIN.top - SIDE_MARGIN.bottom),
+  });
+
+  const columns = () =>
+    ["map-x", "map-y"].map((id) => {
+      const { value } = /** @type {HTMLSelectElement} */ (byId(id));
+      return table.named.get(value) ?? table.columns[0];
+    });
+
+  const lay = () => {
+    const [x, y] = columns();
+    const wanted = JSON.stringify([x.key, y.key, ...state.fixed, x.scale, y.scale, maps[0].base.clientWidth]);
+    if (places && placed === wanted) return places;
+    placed = wanted;
+    places = placeRows(table, x, y, (row) => isInSlice(state, row), boxOf(maps[0]).width / 70);
+    return places;
+  };
+
+  const draw = () => {
+    const here = lay();
+    const [x, y] = columns();
+    for (const map of maps) {
+      const sheet = prepareCanvas(map.base);
+      const area = boxOf(map);
+      const { pen, ratio } = sheet;
+      const pixels = makePixels(Math.round(area.width * ratio), Math.round(area.height * ratio));
+      pixels.colours.fill(packRgb(...app.theme().paper));
+      map.pixels = pixels;
+      if (here.form === "cells") paintCells(map.own, pixels, here, KIND, ratio);
+      else paintMarks(map.own, pixels, here, KIND, ratio);
+      pen.putImageData(pixels.image, Math.round(area.left * ratio), Math.round(area.top * ratio));
+      const shown = (/** @type {number} */ row) => flips[row] > 0 && state.mask[row] > 0;
+      if (here.form === "cells") {
+        const edges = boundaryEdges(here, shown);
+        drawOutlinedLine(app, pen, app.theme().ink, FLIP_WIDTHS, () => {
+          for (const [a, b, c, d] of edges) {
+            pen.moveTo(area.left + a * area.width, area.top + (1 - b) * area.height);
+            pen.lineTo(area.left + c * area.width, area.top + (1 - d) * area.height);
+          }
+        });
+      } else
+        here.rows.forEach((row, k) => {
+          if (!shown(row)) return;
+          drawRing(app, pen, rowPosition(here, k, area), markSize(here) + 1.5, app.theme().ink, [2.4, 1]);
+        });
+      pen.fillStyle = app.theme().ink;
+      pen.textAlign = "left";
+      pen.textBaseline = "top";
+      pen.font = pen.font.replace(/\d+px/, "bold 13px");
+      pen.fillText(shortenToFit(pen, map.title, sheet.width - area.left), area.left, 5);
+      pen.font = pen.font.replace(/bold 13px/, "12px");
+      drawFrame(
+        sheet,
+        app.theme(),
+        area,
+        { scale: here.x, title: axisTitle(x, here.x) },
+        { scale: here.y, title: axisTitle(y, here.y) },
+      );
+    }
+    drawKey();
+    point();
+  };
+
+  /** What the colours mean, with the number of rollouts of A and B for each. */
+  const drawKey = () => {
+    const entries = sides.styles.map((style, k) => {
+      const swatch = element("canvas", { class: "swatch", "aria-hidden": "true" });
+      const counts = sides.kinds.map((kind) => kind.reduce((sum, one) => sum + Number(one === k), 0));
+      const numbers = counts.map((count, side) => `${sides.names[side]} ${formatCount(count)}`).join(", ");
+      return {
+        swatch,
+        k,
+        entry: element("span", { title: style.meaning }, swatch, ` ${clipName(style.label)}: ${numbers}`),
+      };
+    });
+    byId("sides-key").replaceChildren(...entries.map(({ entry }) => entry));
+    for (const { swatch, k } of entries) {
+      const sheet = prepareCanvas(swatch);
+      drawKindBox(sheet.pen, 0, 0, sheet.width, sheet.height, maps[0].own.looks()[k], sheet.ratio);
+    }
+  };
+
+  /** The row under the pointer, and the chosen one, on both maps. */
+  const point = () => {
+    for (const map of maps) {
+      const { pen } = prepareCanvas(map.over);
+      if (!places) continue;
+      for (const [row, size] of [
+        [state.chosen, 8],
+        [state.cursor, 6],
+      ]) {
+        const k = row < 0 ? -1 : places.rows.indexOf(row);
+        if (k >= 0) drawRing(app, pen, rowPosition(places, k, boxOf(map)), size, app.theme().accent, [4, 2]);
+      }
+    }
+  };
+
+  /**
+   * Row at a place of a map, -1 for none.
+   * @type {(map: SideMap, at: [number, number]) => number}
+   */
+  const rowAt = (map, [x, y]) => {
+    const { pixels } = map;
+    const area = boxOf(map);
+    if (!pixels || x < area.left || x > area.left + area.width || y < area.top || y > area.top + area.height) return -1;
+    const ratio = pixels.width / area.width;
+    const reach = ratio * (places?.form === "marks" ? 6 : 1); // bridges the lines between cells
+    return rowNear(pixels, (x - area.left) * ratio, (y - area.top) * ratio, reach);
+  };
+
+  /** @type {(map: SideMap, row: number) => void} */
+  const show = (map, row) => {
+    app.point(row);
+    for (const other of maps) other.tip.hidden = row < 0 || other !== map;
+    const k = row < 0 || !places ? -1 : places.rows.indexOf(row);
+    if (k < 0 || !places) return;
+    const { tip } = map;
+    tip.replaceChildren(...app.words(row, columns()));
+    const [u, v] = rowPosition(places, k, boxOf(map));
+    placeTip(tip, u, v);
+  };
+
+  return { root, draw, point };
+}
+
+/**
+ * Whether only one rollout of each pair succeeds, and both are valid.
+ * @type {(sides: Sides) => Uint8Array}
+ */
+function flippedRows({ kinds: [a, b], styles }) {
+  const outcome = (/** @type {number} */ kind) => styles[kind].outcome;
+  return Uint8Array.from(a, (kind, row) => {
+    const both = [outcome(kind), outcome(b[row])];
+    return Number(both.includes("success") && both.includes("failure"));
+  });
+}
+
+/**
+ * Heading of a side's map: its name and how many of its valid rollouts succeed.
+ * @type {(table: Table, sides: Sides, side: number) => string}
+ */
+function sideTitle({ about }, sides, side) {
+  const { success, valid } = sides.counts[side];
+  const share = valid ? ` (${((100 * success) / valid).toFixed(1)} %)` : "";
+  const folder = clipName(sides.folders[side]);
+  const rate = about.adaptive ? "" : `: ${formatCount(success)} of ${formatCount(valid)} succeed${share}`;
+  return `${sides.names[side]}, ${folder}${rate}`;
+}
+
+/**
+ * Edges of the boxes of some rows that no other such box shares: the outline of their union on a grid.
+ * @param {PlacedRows} here
+ * @param {(row: number) => boolean} chosen
+ * @returns {number[][]} from x, from y, to x, to y, as shares of the axes
+ */
+export function boundaryEdges(here, chosen) {
+  /** @type {Map<string, number[]>} */
+  const edges = new Map();
+  const toggle = (/** @type {number[]} */ ...edge) => {
+    const key = edge.map((one) => one.toFixed(6)).join();
+    if (!edges.delete(key)) edges.set(key, edge);
+  };
+  here.rows.forEach((row, k) => {
+    if (!chosen(row)) return;
+    const [left, low, right, high] = here.boxes.subarray(4 * k, 4 * k + 4);
+    toggle(left, low, right, low);
+    toggle(left, high, right, high);
+    toggle(left, low, left, high);
+    toggle(right, low, right, high);
+  });
+  return [...edges.values()];
+}
