@@ -17,6 +17,7 @@ from sweep.systems.mujoco_model import build_nominal, kernel_engine
 from sweep.systems.mujoco_model.kernel import agreement, guard
 from sweep.systems.mujoco_model.kernel.layout import find_layout
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
+from sweep.systems.mujoco_model.kernel.pairs import find_simulated_pairs
 from sweep.systems.mujoco_model.kernel.scalars import stack_values
 from sweep.systems.mujoco_model.kernel.sensors import compute_sensors, find_unsupported_sensors
 from sweep.systems.mujoco_model.kernel.smooth import compute_smooth
@@ -38,6 +39,7 @@ ROLL = f'<geom {{}} mass="0.1" condim="6" friction="0.8 0.05 0.02" {TOUCHES}/>'
 EYE = '<site name="eye" pos="0.02 0 -0.1" euler="20 30 40"/>'
 BAR = f'<geom type="capsule" size="0.02" fromto="-.05 0 -.2 0.09 0 -.2" mass="0.1" condim="1" {TOUCHES}/>'
 PAIRED = '<geom name="tip_{}" type="sphere" size="0.03" pos="0 0 -0.2" mass="0.1" contype="0" conaffinity="0"/>'
+TIP = '<geom {} mass="0.1" friction="0.7"/>'
 SLIDE = (
     '<body pos="0 0 -.2"><joint type="slide" axis="0 0.1 1" range="-.05 .05" stiffness="300" springref="0.01"/>'
     f'<geom type="sphere" size=".03" mass=".2" {TOUCHES} solmix="2" solref="-2000 -60"/></body>'
@@ -101,13 +103,24 @@ MODELS = {
         limbs(LEG, FOOT, "ab"), base='<joint type="free" damping="2" armature="0.3" frictionloss="1.5"/>'
     ),
     "explicit contact pairs": robot(
-        limbs(LEG, PAIRED.format("a"), "a") + limbs(LEG, PAIRED.format("b"), "b"), 'integrator="implicitfast"'
-    ).replace(
+        limbs(LEG[:2], PAIRED.format("a"), "a") + limbs(LEG[:2], PAIRED.format("b"), "b"), 'integrator="implicitfast"'
+    )
+    .replace('pos="0 .1 0"', 'pos="0 .03 0"')
+    .replace('pos="0 -.1 0"', 'pos="0 -.01 0"')
+    .replace(
         "</mujoco>",
         '<contact><pair geom1="tip_a" geom2="floor" condim="4" friction="0.9 0.4 0.03 0 0" solref="0.015 0.9"/>'
         '<pair geom1="floor" geom2="tip_b" condim="4" margin="0.003" solimp="0.8 0.97 0.003 0.4 3"/>'
         '<pair geom1="tip_a" geom2="tip_b"/></contact></mujoco>',
     ),
+    "two bars and a ball on limbs that touch one another": robot(
+        limbs(LEG[:2], TIP.format('type="capsule" size="0.03" fromto="0 0 0 .02 .01 -.2"'), "ab")
+        + limbs(LEG[:1], TIP.format('type="sphere" size="0.06" pos="0 0 -.2"'), "c"),
+        'cone="elliptic" impratio="10"',
+    )
+    .replace('pos="0 .1 0"', 'pos="0.02 .04 0"')
+    .replace('pos="0 -.1 0"', 'pos="0 -.04 0"')
+    .replace('pos=".2 .1 0"', 'pos="0.08 0 -.15"'),
     "fixed base, frictionless bars": robot(limbs(LEG, BAR), base="", plane='condim="1"'),
 }
 
@@ -126,8 +139,13 @@ def test_a_humanoid_of_others_and_the_exported_robot_agree(tmp_path):
 @pytest.mark.parametrize("name", MODELS)
 def test_accelerations_equal_those_of_c_mujoco(name):
     model = mujoco.MjModel.from_xml_string(MODELS[name])
-    found = agreement.compare_accelerations(find_layout(model), model, 0 if model.nkey else -1, 48)
+    layout, keyframe = find_layout(model), 0 if model.nkey else -1
+    found = agreement.compare_accelerations(layout, model, keyframe, 48)
     assert found.in_contact > 40
+    if pairs := {frozenset(pair) for pair in find_simulated_pairs(layout, model)}:
+        drawn = agreement.draw_states(model, keyframe, 48)
+        touching = sum(any({c.geom1, c.geom2} in pairs for c in one.contact[: one.ncon]) for one in drawn)
+        assert touching > 8
     assert found.largest < 1e-11  # 1e-9 is allowed in studies; measured: 3e-13
 
 
@@ -184,7 +202,11 @@ def test_touches_that_it_does_not_simulate_are_never_missed():
     )
     model = mujoco.MjModel.from_xml_string(text.replace('contype="0"', 'contype="1"'))
     layout, data = find_layout(model), mujoco.MjData(model)
-    pairs, numbers, rng = guard.find_unsimulated_pairs(model), ModelNumbers(model, {}, {}), np.random.default_rng(0)
+    pairs, numbers, rng = (
+        guard.find_unsimulated_pairs(layout, model),
+        ModelNumbers(model, {}, {}),
+        np.random.default_rng(0),
+    )
     rows, distances = [], []
     for k in range(150):
         mujoco.mj_resetData(model, data)

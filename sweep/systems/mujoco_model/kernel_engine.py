@@ -107,7 +107,7 @@ class KernelModelEngine(ModelEngine):
         self._is_inside = not (spec.controller.is_batched or spec.controller.fitted_policy)
         self._iterations = max(int(model.opt.iterations), LEAST_ITERATIONS)
         self._read_sensors = self._find_read_sensors()
-        self._watched = guard.find_unsimulated_pairs(model)
+        self._watched = guard.find_unsimulated_pairs(self._layout, model)
         self._programs_by_form: dict[Any, Any] = {}
         self._first, self._enter, self._finish = self._programs.compile_for_batches()
 

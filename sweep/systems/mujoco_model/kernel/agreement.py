@@ -112,7 +112,9 @@ def compare_accelerations(layout: RobotLayout, model: mujoco.MjModel, keyframe: 
         count: Number of states.
     """
     drawn = draw_states(model, keyframe, count)
-    watched = {frozenset(pair) for pair in find_unsimulated_pairs(model)}  # such rollouts are simulated elsewhere
+    watched = {
+        frozenset(pair) for pair in find_unsimulated_pairs(layout, model)
+    }  # such rollouts are simulated elsewhere
 
     def is_simulated(data: mujoco.MjData) -> bool:
         return all(frozenset((c.geom1, c.geom2)) not in watched for c in data.contact[: data.ncon])

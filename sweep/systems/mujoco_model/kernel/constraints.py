@@ -6,6 +6,7 @@ the slope of a convex cost of that residual, so that the accelerations minimize 
 
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 
@@ -51,7 +52,7 @@ class ConstraintLaw(NamedTuple):
 
     stiffness: Scalar  # 1/s^2
     damping: Scalar  # 1/s
-    impedance: tuple[Scalar, Scalar, Scalar, float, float]  # least, largest, width, middle, power
+    impedance: tuple[Scalar, Scalar, Scalar, Scalar, Scalar]  # least, largest, width, middle, power; two last known
 
 
 class CandidatePoint(NamedTuple):
@@ -83,6 +84,11 @@ class PlaneContacts(NamedTuple):
         """Number of constraint dimensions of each contact (MuJoCo's condim): 1, 3, 4 or 6."""
         return len(self.friction) + 1
 
+    @property
+    def n(self) -> int:
+        """Number of places in the row."""
+        return len(self.point.real)
+
 
 class JointRow(NamedTuple):
     """Constraint row for corresponding joints of all limbs: a range limit, or joint friction.
@@ -99,11 +105,12 @@ class JointRow(NamedTuple):
 
 
 class Constraints(NamedTuple):
-    """All constraints that act on the robot in a state: contacts with planes, joint limits, joint friction."""
+    """All constraints that act on the robot in a state: contacts, joint limits, joint friction."""
 
     contacts: tuple[PlaneContacts, ...]
     rows: tuple[JointRow, ...]
     is_elliptic: bool
+    pairs: tuple[Any, ...] = ()  # `PairContacts` of the robot's geoms with one another
 
 
 def find_candidate_points(layout: RobotLayout, numbers: ModelNumbers, plane: int) -> list[CandidatePoint]:
@@ -215,6 +222,49 @@ def _tangents(normal: Vector, along: Vector | None) -> tuple[Vector, Vector]:
     return first, normal.cross(first)
 
 
+class ContactNumbers(NamedTuple):
+    """Friction, regularization and reference acceleration of a row of contacts, by MuJoCo's law of contacts."""
+
+    friction: tuple[Scalar, ...]  # of each dimension after the normal one: sliding twice, torsional, rolling twice
+    regular: Scalar  # sliding friction over the root of impratio: of an elliptic cone
+    weight: Scalar  # inverse of the regularization; 0 without contact
+    wanted: tuple[Scalar, ...]  # accelerations along normal and tangents, then angular ones about them
+
+
+def apply_contact_law(
+    numbers: ModelNumbers,
+    geoms: tuple[np.ndarray, np.ndarray],
+    bodies: tuple[np.ndarray, np.ndarray],
+    distance: Scalar,
+    frame: tuple[Vector, Vector, Vector],
+    motion: tuple[Vector, Vector],
+) -> ContactNumbers:
+    """Compute what MuJoCo's law of contacts gives for a row of contacts of two geoms each.
+
+    Args:
+        numbers: Numbers of the rollout's model.
+        geoms: Ids (n,) or (1,) of the geoms of both sides.
+        bodies: Ids (n,) or (1,) of their bodies; 0 for the world.
+        distance: Distances of the geoms, m.
+        frame: Normal and tangents, world axes.
+        motion: Linear and angular velocity of one side relative to the other at the place of contact, world axes.
+    """
+    law, frictions, margin = _find_law(numbers, *geoms)
+    dim, friction = len(frictions) + 1, frictions[0] if frictions else ZERO
+    inverse = numbers.get("body_invweight0", bodies[0], 0) + numbers.get("body_invweight0", bodies[1], 0)
+    impratio = numbers.get("opt.impratio")
+    is_elliptic = numbers.model.opt.cone == ELLIPTIC
+    if dim > 1 and not is_elliptic:
+        inverse = inverse * (1 + friction * friction) * (2 * friction * friction / impratio)
+    impedance = compute_impedance(law, distance - margin)
+    weight = where(distance < margin, impedance / (inverse * (1 - impedance)), ZERO)
+    speed = contact_components(frame, *motion, dim)
+    wanted = -(speed[0] * law.damping) - law.stiffness * impedance * (distance - margin)
+    others = tuple(-(one * law.damping) for one in speed[1:])
+    regular = friction / square_root(impratio)
+    return ContactNumbers(tuple(frictions), regular, weight, (wanted, *others))
+
+
 def _contact(
     numbers: ModelNumbers,
     plane: int,
@@ -225,49 +275,59 @@ def _contact(
     motion: SpatialVector,
 ) -> PlaneContacts:
     """A row of contacts from distances (m), places and the motion of the bodies."""
-    model = numbers.model
-    law, frictions, margin = _find_law(numbers, point.geoms, plane)
-    dim, friction = len(frictions) + 1, frictions[0] if frictions else ZERO
-    inverse = numbers.get("body_invweight0", point.bodies, 0) + numbers.get("body_invweight0", np.array([0]), 0)
-    impratio = numbers.get("opt.impratio")
-    is_elliptic = model.opt.cone == ELLIPTIC
-    if dim > 1 and not is_elliptic:
-        inverse = inverse * (1 + friction * friction) * (2 * friction * friction / impratio)
-    impedance = compute_impedance(law, distance - margin)
-    weight = where(distance < margin, impedance / (inverse * (1 - impedance)), ZERO)
+    geoms, bodies = (point.geoms, np.array([plane])), (point.bodies, np.array([0]))
+    found = apply_contact_law(numbers, geoms, bodies, distance, frame, (motion.velocity_at(at), motion.angular))
     if not point.real.all():
-        weight = weight * Scalar(point.real.astype(float))
-    speed = contact_components(frame, motion.velocity_at(at), motion.angular, dim)
-    wanted = -(speed[0] * law.damping) - law.stiffness * impedance * (distance - margin)
-    others = tuple(-(one * law.damping) for one in speed[1:])
-    regular = friction / square_root(impratio)
-    return PlaneContacts(point, at, frame, tuple(frictions), regular, weight, (wanted, *others))
+        found = found._replace(weight=found.weight * Scalar(point.real.astype(float)))
+    return PlaneContacts(point, at, frame, *found)
 
 
-def _find_law(numbers: ModelNumbers, geoms: np.ndarray, plane: int) -> tuple[ConstraintLaw, list[Scalar], Scalar]:
-    """Law of the contacts of geoms with a plane, friction of each dimension after the first, and margin (m)."""
-    model, ground = numbers.model, np.array([plane])
-    pairs, winner = find_pair_ids(model, geoms, plane), 0
+def describe_contact_law(
+    model: mujoco.MjModel, geoms: np.ndarray, others: np.ndarray
+) -> tuple[np.ndarray | None, int, int]:
+    """Return which parameters the contacts of geoms with others have.
+
+    Args:
+        model: The model.
+        geoms: Ids (n,) of the geoms of one side.
+        others: Ids (n,) or (1,) of those of the other side.
+
+    Returns:
+        Ids (n,) of their explicit pairs, None without; 1 if the parameters are those of `geoms` by priority, -1 if
+        they are those of `others`, 0 if they are mixed; and the dimension of the contacts.
+
+    Raises:
+        InputError: They differ in one of these.
+    """
+    pairs, winner = find_pair_ids(model, geoms, others), 0
     if pairs is not None:
         dims = model.pair_dim[pairs]
     else:
-        dims = np.maximum(model.geom_condim[geoms], model.geom_condim[plane])
-        first, second = (model.geom_priority[one] for one in (geoms, ground))
+        dims = np.maximum(model.geom_condim[geoms], model.geom_condim[others])
+        first, second = (model.geom_priority[one] for one in (geoms, others))
         wins = np.where(first > second, 1, np.where(first < second, -1, 0))
         if len(set(wins.tolist())) > 1:
             raise unsupported_model_error("limbs whose contacts differ in priority")
         winner = int(wins[0])
-        dims = {0: dims, 1: model.geom_condim[geoms], -1: model.geom_condim[ground]}[winner]
+        dims = {0: dims, 1: model.geom_condim[geoms], -1: model.geom_condim[others]}[winner]
     if len(set(dims.tolist())) > 1:
         raise unsupported_model_error("limbs whose contacts differ in dimension")
-    chosen = FRICTION_OF_DIMENSION[: int(dims[0]) - 1]
+    return pairs, winner, int(dims[0])
+
+
+def _find_law(
+    numbers: ModelNumbers, geoms: np.ndarray, others: np.ndarray
+) -> tuple[ConstraintLaw, list[Scalar], Scalar]:
+    """Law of the contacts of geoms with others, friction of each dimension after the first, and margin (m)."""
+    pairs, winner, dim = describe_contact_law(numbers.model, geoms, others)
+    chosen = FRICTION_OF_DIMENSION[: dim - 1]
     if pairs is not None:
         reference = [numbers.get("pair_solref", pairs, k) for k in range(2)]
         law = make_constraint_law(numbers, reference, [numbers.get("pair_solimp", pairs, k) for k in range(5)])
         friction = [largest(numbers.get("pair_friction", pairs, k), LEAST_FRICTION) for k in range(len(chosen))]
         return law, friction, numbers.get("pair_margin", pairs)
-    law, friction = _mix(numbers, geoms, ground, winner)
-    return law, [friction[k] for k in chosen], _sum_margins(numbers, geoms, ground)
+    law, friction = _mix(numbers, geoms, others, winner)
+    return law, [friction[k] for k in chosen], _sum_margins(numbers, geoms, others)
 
 
 def contact_components(frame: Any, linear: Vector, angular: Vector, dim: int) -> tuple[Scalar, ...]:
@@ -285,30 +345,32 @@ def contact_components(frame: Any, linear: Vector, angular: Vector, dim: int) ->
     return tuple(frame[k % len(frame)].dot(linear if k < len(frame) else angular) for k in range(dim))
 
 
-def _sum_margins(numbers: ModelNumbers, geoms: np.ndarray, plane: np.ndarray) -> Scalar:
+def _sum_margins(numbers: ModelNumbers, geoms: np.ndarray, others: np.ndarray) -> Scalar:
     """Distance below which two geoms push: the sum of their margins."""
-    return numbers.get("geom_margin", geoms) + numbers.get("geom_margin", plane)
+    return numbers.get("geom_margin", geoms) + numbers.get("geom_margin", others)
 
 
 def _mix(
-    numbers: ModelNumbers, geoms: np.ndarray, plane: np.ndarray, winner: int
+    numbers: ModelNumbers, geoms: np.ndarray, others: np.ndarray, winner: int
 ) -> tuple[ConstraintLaw, list[Scalar]]:
     """Law and friction (sliding, torsional, rolling) of two geoms: of the one of higher priority, or mixed."""
-    each = (numbers.get("geom_solmix", geoms), numbers.get("geom_solmix", plane))
+    each = (numbers.get("geom_solmix", geoms), numbers.get("geom_solmix", others))
     if winner:
         share = ONE if winner > 0 else ZERO
-        friction = [numbers.get("geom_friction", geoms if winner > 0 else plane, k) for k in range(3)]
+        friction = [numbers.get("geom_friction", geoms if winner > 0 else others, k) for k in range(3)]
     else:
         share = each[0] / (each[0] + each[1])
-        both = ([numbers.get("geom_friction", one, k) for one in (geoms, plane)] for k in range(3))
+        both = ([numbers.get("geom_friction", one, k) for one in (geoms, others)] for k in range(3))
         friction = [largest(*each) for each in both]
 
     def mix_number(name: str, k: int) -> Scalar:
-        return share * numbers.get(name, geoms, k) + (1 - share) * numbers.get(name, plane, k)
+        return share * numbers.get(name, geoms, k) + (1 - share) * numbers.get(name, others, k)
 
     reference = [mix_number("geom_solref", k) for k in range(2)]
-    if not winner and min(float(numbers.model.geom_solref[g, 0]) for g in (*geoms, *plane)) <= 0:
-        least = [smallest(numbers.get("geom_solref", geoms, k), numbers.get("geom_solref", plane, k)) for k in range(2)]
+    if not winner and min(float(numbers.model.geom_solref[g, 0]) for g in (*geoms, *others)) <= 0:
+        least = [
+            smallest(numbers.get("geom_solref", geoms, k), numbers.get("geom_solref", others, k)) for k in range(2)
+        ]
         reference = least  # direct formats are not mixed
     return make_constraint_law(numbers, reference, [mix_number("geom_solimp", k) for k in range(5)]), [
         largest(one, LEAST_FRICTION) for one in friction
@@ -324,6 +386,8 @@ def make_constraint_law(numbers: ModelNumbers, reference: list[Scalar], impedanc
             "time constants, or midpoints and powers of impedance, that differ between rollouts"
         )
     time = np.ravel(reference[0].value)
+    if len(set(time > 0)) > 1:
+        raise unsupported_model_error("limbs whose solref differ in format")
     if (time > 0).all():
         is_safe = not numbers.model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_REFSAFE)
         constant = largest(reference[0], 2 * numbers.model.opt.timestep if is_safe else 0.0)
@@ -331,11 +395,7 @@ def make_constraint_law(numbers: ModelNumbers, reference: list[Scalar], impedanc
         damping = 2 / (top * constant)
     else:
         stiffness, damping = -reference[0] / (top * top), -reference[1] / top
-    return ConstraintLaw(stiffness, damping, (least, top, width, _same(middle), max(1.0, _same(power))))
-
-
-def _same(number: Scalar) -> float:
-    return float(np.ravel(number.value)[0])
+    return ConstraintLaw(stiffness, damping, (least, top, width, middle, largest(power, 1.0)))
 
 
 def compute_impedance(law: ConstraintLaw, depth: Scalar) -> Scalar:
@@ -345,10 +405,12 @@ def compute_impedance(law: ConstraintLaw, depth: Scalar) -> Scalar:
         return least
     x = clip(largest(depth, -depth) / width, 0.0, 1.0)
     y = x
-    if power != 1:
-        low = raise_to_power(x, power) * (1 / middle ** (power - 1))
-        high = 1 - raise_to_power(1 - x, power) * (1 / (1 - middle) ** (power - 1))
-        y = where(x < middle, low, high)
+    for exponent in np.unique(power.value):
+        if exponent != 1:
+            low = raise_to_power(x, exponent) * Scalar(1 / middle.value ** (exponent - 1))
+            high = 1 - raise_to_power(1 - x, exponent) * Scalar(1 / (1 - middle.value) ** (exponent - 1))
+            curve = where(x < middle, low, high)
+            y = curve if power.is_exactly(exponent) else where(jnp.asarray(power.value == exponent), curve, y)
     return least + y * (top - least)
 
 
@@ -417,6 +479,12 @@ class Curve(NamedTuple):
     linear: Symmetric  # force by linear motion
     mixed: tuple[Vector, Vector, Vector] | None  # force by angular motion, by rows; None for condim 1 and 3
     angular: Symmetric  # moment by angular motion
+
+    def member(self, k: int) -> "Curve":
+        """Return the second derivative of contact `k` of a row."""
+        first, second = (Symmetric(*(x.member(k) for x in one)) for one in (self.linear, self.angular))
+        mixed = None if self.mixed is None else tuple(row.member(k) for row in self.mixed)
+        return Curve(first, mixed, second)  # pyright: ignore[reportArgumentType]
 
     def push(self, motion: SpatialVector) -> SpatialVector:
         """Return the product of the Hessian and a motion of the contact: force and moment."""

@@ -23,11 +23,13 @@ from sweep.systems.mujoco_model.kernel.layout import (
     find_stack_of_body,
 )
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
+from sweep.systems.mujoco_model.kernel.pairs import find_simulated_pairs
 from sweep.systems.mujoco_model.kernel.scalars import (
     ZERO,
     Scalar,
     Vector,
     clip,
+    join_vectors,
     known_vector,
     largest,
     rotate,
@@ -55,12 +57,13 @@ class EnclosingHull(NamedTuple):
     is_box: bool
 
 
-def find_unsimulated_pairs(model: mujoco.MjModel) -> list[tuple[int, int]]:
+def find_unsimulated_pairs(layout: RobotLayout, model: mujoco.MjModel) -> list[tuple[int, int]]:
     """Return the pairs of geoms that may touch but whose contacts the kernel does not simulate."""
+    simulated = {frozenset(pair) for pair in find_simulated_pairs(layout, model)}
     explicit = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
     kinds = model.geom_type[pairs := np.concatenate([find_geom_pairs(model), explicit])]
     is_simulated = (kinds == PLANE).any(axis=1) & np.isin(kinds, SHAPES).any(axis=1)
-    return [(int(a), int(b)) for a, b in pairs[~is_simulated]]
+    return [(int(a), int(b)) for a, b in pairs[~is_simulated] if frozenset((int(a), int(b))) not in simulated]
 
 
 def enclose_geom(layout: RobotLayout, model: mujoco.MjModel, geom: int) -> EnclosingHull:
@@ -120,13 +123,6 @@ def has_near_pair(
     return near
 
 
-def _join(values: list[Scalar], dtype: Any) -> Scalar:
-    """Join the numbers of the pairs of a row to one number of the row."""
-    if all(one.is_known for one in values):
-        return Scalar(np.array([one.value for one in values], float))
-    return Scalar(jnp.stack([jnp.asarray(one.value, dtype) for one in values]))
-
-
 def _placed(smooth: SmoothTerms, hulls: list[EnclosingHull]) -> tuple[Vector, list[Vector], list[Scalar]]:
     """Places, axes and sizes of a row of hulls, from the base's origin and in the world's axes."""
 
@@ -137,22 +133,16 @@ def _placed(smooth: SmoothTerms, hulls: list[EnclosingHull]) -> tuple[Vector, li
         columns = [rotate((x, y, z), known_vector(hull.axes[:, k])) for k in range(3)]
         origin = place.origin.member(hull.member) + rotate((x, y, z), known_vector(hull.place))
         every.append([origin, *columns])
-    dtype = _dtype(smooth)
-    joined = [Vector(*(_join([one[k][i] for one in every], dtype) for i in range(3))) for k in range(4)]
+    joined = [join_vectors([one[k] for one in every]) for k in range(4)]
     sizes = [Scalar(np.array([hull.size[k] for hull in hulls])) for k in range(3)]
     return joined[0], joined[1:], sizes
-
-
-def _dtype(smooth: SmoothTerms) -> Any:
-    """The precision of a rollout's numbers."""
-    return next(x.value.dtype for place in smooth.places for axis in place.axes for x in axis if not x.is_known)
 
 
 def _plane_distance(numbers: ModelNumbers, state: RobotState, smooth: SmoothTerms, row: list[Any]) -> Scalar:
     """Height (n,) of the lowest point of each hull above its plane."""
     place, axes, size = _placed(smooth, [hull for hull, _ in row])
     places = [locate_plane(numbers, plane) for _, plane in row]
-    start = Vector(*(_join([one[k] for one in places], _dtype(smooth)) for k in range(3)))
+    start = join_vectors(places)
     normal = Vector(*(Scalar(np.array([plane.normal[k] for _, plane in row])) for k in range(3)))
     height = normal.dot(state.position + place - start)
     is_box = np.array([hull.is_box for hull, _ in row])

@@ -189,13 +189,13 @@ def find_planes(model: mujoco.MjModel) -> tuple[CollisionPlane, ...]:
     return tuple(CollisionPlane(int(g), data.geom_xpos[g].copy(), normals[g].copy()) for g in found)
 
 
-def find_pair_ids(model: mujoco.MjModel, geoms: np.ndarray, plane: int) -> np.ndarray | None:
-    """Return the ids of the explicit MuJoCo contact pairs between corresponding geoms and a plane.
+def find_pair_ids(model: mujoco.MjModel, geoms: np.ndarray, others: np.ndarray) -> np.ndarray | None:
+    """Return the ids of the explicit MuJoCo contact pairs between geoms and others.
 
     Args:
         model: The model.
         geoms: Ids (n,) of the geoms.
-        plane: Id of the plane.
+        others: Ids (n,) of the other geoms, or (1,) of one.
 
     Returns:
         Ids (n,) of the pairs; None where there are none.
@@ -204,7 +204,8 @@ def find_pair_ids(model: mujoco.MjModel, geoms: np.ndarray, plane: int) -> np.nd
         InputError: Some of the geoms have a pair, and others have none.
     """
     table = {frozenset(both): k for k, both in enumerate(zip(model.pair_geom1, model.pair_geom2, strict=True))}
-    found = [table.get(frozenset((int(geom), plane)), -1) for geom in geoms]
+    wanted = zip(geoms, np.broadcast_to(others, np.shape(geoms)), strict=True)
+    found = [table.get(frozenset((int(one), int(other))), -1) for one, other in wanted]
     if max(found) < 0:
         return None
     if min(found) < 0:
@@ -214,7 +215,7 @@ def find_pair_ids(model: mujoco.MjModel, geoms: np.ndarray, plane: int) -> np.nd
 
 def touches_plane(model: mujoco.MjModel, geom: int, plane: int) -> bool:
     """Return whether a geom and a plane may touch, by type or by an explicit pair."""
-    return bool(may_touch(model, geom, plane)) or find_pair_ids(model, np.array([geom]), plane) is not None
+    return bool(may_touch(model, geom, plane)) or find_pair_ids(model, np.array([geom]), np.array([plane])) is not None
 
 
 def joint_actuators(model: mujoco.MjModel, joint: int) -> list[int]:

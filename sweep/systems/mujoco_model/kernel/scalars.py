@@ -322,6 +322,21 @@ def stack_values(numbers: list[Scalar], dtype: Any) -> Array:
     return jnp.stack([jnp.asarray(one.value, dtype) for one in numbers])
 
 
+def join_members(numbers: list[Scalar]) -> Scalar:
+    """Join the numbers of n single bodies to a number of a stack; the number of one body stays as it is."""
+    if len(numbers) == 1:
+        return numbers[0]
+    if all(one.is_known for one in numbers):
+        return Scalar(np.array([one.value for one in numbers], float))
+    dtype = next(one.value.dtype for one in numbers if not one.is_known)
+    return Scalar(stack_values(numbers, dtype))
+
+
+def join_vectors(vectors: list[Vector]) -> Vector:
+    """Join the vectors of n single bodies to a vector of a stack."""
+    return Vector(*(join_members([one[k] for one in vectors]) for k in range(3)))
+
+
 def flatten_scalars(tree: Any) -> tuple[list[Any], Callable[[list[Any]], Any]]:
     """Flatten a tree of the kernel's numbers to a list; return it and a function that restores the tree.
 

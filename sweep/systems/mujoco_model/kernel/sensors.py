@@ -237,6 +237,13 @@ def _touch(layout: RobotLayout, numbers: ModelNumbers, state: RobotState, result
             total = total + _if_hit(numbers, site, frame, at, -contact.frame[0].member(member), force)
         else:  # rows of one body
             total = total + _if_hit(numbers, site, frame, at, -contact.frame[0], force).total(1)
+    for contact, residual in zip(problem.constraints.pairs, result.solution.residuals.pairs, strict=True):
+        force = contact_force(contact, residual, problem.constraints.is_elliptic)[0]
+        for geoms, sign in zip(contact.row.geoms, (1.0, -1.0), strict=True):
+            for member in np.flatnonzero((model.geom_bodyid[geoms] == body) & contact.row.real):
+                k = int(member)
+                way = contact.frame[0].member(k) * sign
+                total = total + _if_hit(numbers, site, frame, contact.at.member(k), way, force.member(k))
     return [total]
 
 

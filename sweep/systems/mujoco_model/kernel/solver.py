@@ -22,6 +22,12 @@ from sweep.systems.mujoco_model.kernel.constraints import (
     contact_wrench,
     joint_row_force,
 )
+from sweep.systems.mujoco_model.kernel.coupling import (
+    CoupledSystem,
+    compute_relative_motion,
+    solve_dense,
+    sum_wrenches_by_stack,
+)
 from sweep.systems.mujoco_model.kernel.layout import RobotLayout
 from sweep.systems.mujoco_model.kernel.scalars import (
     NOTHING,
@@ -65,14 +71,16 @@ class Residuals(NamedTuple):
 
     contacts: tuple[tuple[Scalar, ...], ...]
     rows: tuple[Scalar, ...]
+    pairs: tuple[tuple[Scalar, ...], ...] = ()
 
     def add_scaled(self, factor: Scalar, other: "Residuals") -> "Residuals":
         """Return self + factor * other."""
-        contacts = tuple(
-            tuple(a + b * factor for a, b in zip(*pair, strict=True))
-            for pair in zip(self.contacts, other.contacts, strict=True)
+        contacts, pairs = (
+            tuple(tuple(a + b * factor for a, b in zip(*both, strict=True)) for both in zip(*each, strict=True))
+            for each in ((self.contacts, other.contacts), (self.pairs, other.pairs))
         )
-        return Residuals(contacts, tuple(a + b * factor for a, b in zip(self.rows, other.rows, strict=True)))
+        rows = tuple(a + b * factor for a, b in zip(self.rows, other.rows, strict=True))
+        return Residuals(contacts, rows, pairs)
 
 
 class StackTotal:
@@ -144,11 +152,18 @@ class StepProblem(NamedTuple):
             if wanted:
                 given = tuple(x - y for x, y in zip(given, one.wanted, strict=True))
             contacts.append(given)
+        pairs = []
+        for one in self.constraints.pairs:
+            moved = compute_relative_motion(self.layout, self.smooth, one, a.joints)
+            given = contact_components(one.frame, moved.velocity_at(one.at), moved.angular, one.dim)
+            if wanted:
+                given = tuple(x - y for x, y in zip(given, one.wanted, strict=True))
+            pairs.append(given)
         rows = []
         for row in self.constraints.rows:
             along = row.side * a.joints[row.joint] if row.direction is None else row.direction.dot(a.base)
             rows.append(along - row.wanted if wanted else along)
-        return Residuals(tuple(contacts), tuple(rows))
+        return Residuals(tuple(contacts), tuple(rows), tuple(pairs))
 
     def constraint_force(self, residuals: Residuals) -> Acceleration:
         """Return the generalized forces that all constraints exert at given residuals."""
@@ -157,6 +172,12 @@ class StepProblem(NamedTuple):
         for one, residual in zip(self.constraints.contacts, residuals.contacts, strict=True):
             wrench = contact_wrench(one, contact_force(one, residual, self.constraints.is_elliptic))
             self._spread(wrench, one, base, joints)
+        for one, residual in zip(self.constraints.pairs, residuals.pairs, strict=True):
+            wrench = contact_wrench(one, contact_force(one, residual, self.constraints.is_elliptic))
+            for s, part in sum_wrenches_by_stack(self.layout, one, wrench).items():
+                for joint in self.layout.moving_joints(s):
+                    n = self.layout.stacks[s].n if self.stack_size(joint) == 1 else 1
+                    joints[joint].add(self.smooth.motions[joint].dot(part), n)
         for row, residual in zip(self.constraints.rows, residuals.rows, strict=True):
             force = row.side * joint_row_force(row, residual)[0]
             if row.direction is None:
@@ -169,7 +190,7 @@ class StepProblem(NamedTuple):
     def _spread(
         self, wrench: SpatialVector, contact: Any, base: list[StackTotal], joints: dict[Joint, StackTotal]
     ) -> None:
-        n = len(contact.point.real)
+        n = contact.n
         if self.layout.has_free_base:
             for total, part in zip(base, _parts(wrench), strict=True):
                 total.add(part, n)
@@ -182,6 +203,7 @@ class StepProblem(NamedTuple):
         curves: list[Curve] | None,
         stiff: dict[Joint, Scalar],
         base_rows: Sequence[tuple[SpatialVector, Scalar]] = (),
+        pair_curves: Sequence[Curve] = (),
     ) -> Acceleration:
         """Solve the linear system of a Newton step, (M + Jᵀ C J + diag) x = right, with contact Hessians C.
 
@@ -190,6 +212,7 @@ class StepProblem(NamedTuple):
             curves: C of each contact; None for none.
             stiff: What is added to the diagonal, by joint; of `BASE` for all six directions of the base.
             base_rows: Directions of the base with the second derivatives of their costs.
+            pair_curves: C of each row of pairs of the robot's geoms; empty for none.
         """
         joints, has_base = [*self.force.joints], self.layout.has_free_base
         smooth = self.smooth
@@ -215,6 +238,17 @@ class StepProblem(NamedTuple):
             entries[joint, joint] = StackTotal(smooth.mass[joint, joint] + stiff.get(joint, ZERO))
         for one, curve in zip(self.constraints.contacts, curves or (), strict=curves is not None):
             self._add_contact(one, curve, corner, side, entries)
+        if pair_curves:
+            coupled = CoupledSystem(
+                self.layout,
+                [[one.value for one in row] for row in corner],
+                {joint: [one.value for one in totals] for joint, totals in side.items()},
+                {both: one.value for both, one in entries.items()},
+            )
+            for one, curve in zip(self.constraints.pairs, pair_curves, strict=True):
+                coupled.add_contacts(smooth, one, curve)
+            x_base, found = coupled.solve(_parts(right.base) if has_base else [], right.joints)
+            return Acceleration(_spatial(x_base) if has_base else STILL, found)
         rest = {joint: StackTotal(right.joints[joint]) for joint in joints}
         base = [StackTotal(x) for x in _parts(right.base)]
         inverse, low, low_base = {}, {}, {}
@@ -241,9 +275,7 @@ class StepProblem(NamedTuple):
                 for j in range(i + 1):
                     corner[i][j].add(-(factor * row_base[j]), n)
         x_base = (
-            _solve_dense([[one.value for one in row] for row in corner], [one.value for one in base])
-            if has_base
-            else []
+            solve_dense([[one.value for one in row] for row in corner], [one.value for one in base]) if has_base else []
         )
         found: dict[Joint, Scalar] = {}
         for joint in joints:
@@ -257,7 +289,7 @@ class StepProblem(NamedTuple):
 
     def _add_contact(self, contact: Any, curve: Curve, corner: Any, side: Any, entries: Any) -> None:
         """Add Jᵀ C J of a row of contacts."""
-        n, at, chain = len(contact.point.real), contact.at, self.layout.moving_joints(contact.point.stack)
+        n, at, chain = contact.n, contact.at, self.layout.moving_joints(contact.point.stack)
         moved = [
             SpatialVector(one.velocity_at(at), one.angular) for one in (self.smooth.motions[joint] for joint in chain)
         ]
@@ -316,10 +348,11 @@ class StepProblem(NamedTuple):
     def next_iterate(self, now: "Iterate") -> "Iterate":
         """Return the next Newton iterate, with the step length that a line search finds."""
         is_elliptic = self.constraints.is_elliptic
-        curves = [
-            contact_curve(one, residual, is_elliptic)
-            for one, residual in zip(self.constraints.contacts, now.residuals.contacts, strict=True)
-        ]
+        constraints, residuals = self.constraints, now.residuals
+        curves, pair_curves = (
+            [contact_curve(*each, is_elliptic) for each in zip(*both, strict=True)]
+            for both in ((constraints.contacts, residuals.contacts), (constraints.pairs, residuals.pairs))
+        )
         stiff: dict[Joint, Scalar] = {}
         base_rows = []
         for row, residual in zip(self.constraints.rows, now.residuals.rows, strict=True):
@@ -329,7 +362,7 @@ class StepProblem(NamedTuple):
             else:
                 base_rows.append((row.direction, bend))
         left = self.force.minus(now.momentum)
-        way = self.solve_linear_system(left.add_scaled(ONE, now.pull), curves, stiff, base_rows)
+        way = self.solve_linear_system(left.add_scaled(ONE, now.pull), curves, stiff, base_rows, pair_curves)
         moved, changed = self.momentum(way), self.residuals(way, wanted=False)
         length = self._search(way, left, moved, now.residuals, changed)
         return self._iterate(
@@ -358,14 +391,19 @@ class StepProblem(NamedTuple):
         turns = self._turning_points(residuals, changed)
         lines = [
             contact_cost_line(*each, constraints.is_elliptic)
-            for each in zip(constraints.contacts, residuals.contacts, changed.contacts, strict=True)
+            for each in zip(
+                (*constraints.contacts, *constraints.pairs),
+                (*residuals.contacts, *residuals.pairs),
+                (*changed.contacts, *changed.pairs),
+                strict=True,
+            )
         ]
 
         def try_length(state: tuple[Any, ...]) -> tuple[Any, ...]:
             count, _, length, low, high = state[0], state[1], *(Scalar(x) for x in state[2:])
             first, second = StackTotal(), StackTotal()
             for line in lines:
-                n, (a, b) = len(line.contact.point.real), line.slopes(length)
+                n, (a, b) = line.contact.n, line.slopes(length)
                 first.add(a, n)
                 second.add(b, n)
             for row, residual, change in zip(constraints.rows, residuals.rows, changed.rows, strict=True):
@@ -432,11 +470,35 @@ class Iterate(NamedTuple):
 def solve_problem(problem: StepProblem, warm: Acceleration, iterations: int) -> Iterate:
     """Return the accelerations of a physics step, by Newton's method from those of the last step.
 
+    Contacts of the robot with itself couple its limbs. They are part of the equations only in rollouts that have such
+    contacts, and cost nothing where no rollout of a warp or vector has.
+
     Args:
         problem: The equation.
         warm: Accelerations to begin with.
         iterations: Iterations, at most: a rollout that has converged stays as it is. 0 for none, which returns `warm`.
     """
+    if not problem.constraints.pairs:
+        return _iterate_newton(problem, warm, iterations)
+    pairs = problem.constraints.pairs
+    touches = jnp.stack([(one.weight > ZERO).any() for one in pairs]).any()
+    apart = problem._replace(constraints=problem.constraints._replace(pairs=()))
+    still = tuple((ZERO,) * one.dim for one in pairs)
+    found = _iterate_newton(apart, warm, iterations, ~touches)
+    found = found._replace(residuals=found.residuals._replace(pairs=still))
+    coupled = jax.eval_shape(lambda: flatten_scalars(_iterate_newton(problem, warm, iterations))[0])
+    values, rebuild = flatten_scalars(found)
+    dtype = coupled[0].dtype
+    values = [jnp.broadcast_to(jnp.asarray(x, dtype), like.shape) for x, like in zip(values, coupled, strict=True)]
+
+    def couple(values: list[Any]) -> list[Any]:
+        return [jnp.asarray(x, dtype) for x in flatten_scalars(_iterate_newton(problem, warm, iterations))[0]]
+
+    return rebuild(jax.lax.cond(touches, couple, lambda values: values, values))
+
+
+def _iterate_newton(problem: StepProblem, warm: Acceleration, iterations: int, is_wanted: Any = True) -> Iterate:
+    """Newton's iterations, where they are wanted."""
     if not iterations:
         return problem.first_iterate(warm)
     values, rebuild = flatten_scalars(problem.first_iterate(warm))
@@ -446,7 +508,8 @@ def solve_problem(problem: StepProblem, warm: Acceleration, iterations: int) -> 
     enough = float(CONVERGED * jnp.finfo(dtype).eps)
 
     def goes_on(state: tuple[Any, list[Any]]) -> Any:
-        return (state[0] < iterations) & (rebuild(state[1]).error.value > enough)
+        more = (state[0] < iterations) & (rebuild(state[1]).error.value > enough)
+        return more if is_wanted is True else more & is_wanted
 
     def body(state: tuple[Any, list[Any]]) -> tuple[Any, list[Any]]:
         count, values = state
@@ -474,23 +537,3 @@ def _base_block(mass: Scalar, h: Vector, inertia: Any) -> list[list[Scalar]]:
         [h.z, ZERO, -h.x, inertia[1].x, inertia[1].y],
         [-h.y, h.x, ZERO, *inertia[2]],
     ]
-
-
-def _solve_dense(lower: list[list[Scalar]], right: list[Scalar]) -> list[Scalar]:
-    """Solve a symmetric positive system of its lower triangle by L D Lᵀ."""
-    n, full = len(right), [list(row) for row in lower]
-    known, inverse = list(right), []
-    factors = [[ZERO] * n for _ in range(n)]
-    for k in range(n):
-        inverse.append(ONE / full[k][k])
-        for i in range(k + 1, n):
-            factors[i][k] = full[i][k] * inverse[k]
-        for i in range(k + 1, n):
-            for j in range(k + 1, i + 1):
-                full[i][j] = full[i][j] - factors[i][k] * full[j][k]
-            known[i] = known[i] - factors[i][k] * known[k]
-    x = [a * b for a, b in zip(known, inverse, strict=True)]
-    for k in reversed(range(n)):
-        for i in range(k + 1, n):
-            x[k] = x[k] - factors[i][k] * x[i]
-    return x

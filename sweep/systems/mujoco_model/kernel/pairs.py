@@ -1,0 +1,256 @@
+"""Contacts of spheres and capsules of the robot with one another, such as one foot with another foot.
+
+Such a contact couples two limbs, which meet in the base only otherwise; `coupling` solves the equations then.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from sweep.systems.mujoco_model.geom_pairs import find_geom_pairs
+from sweep.systems.mujoco_model.kernel.constraints import apply_contact_law, describe_contact_law
+from sweep.systems.mujoco_model.kernel.layout import CAPSULE, SPHERE, RobotLayout, find_pair_ids, find_stack_of_body
+from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
+from sweep.systems.mujoco_model.kernel.scalars import (
+    ONE,
+    ZERO,
+    Scalar,
+    Vector,
+    clip,
+    join_vectors,
+    largest,
+    rotate,
+    square_root,
+    where,
+)
+from sweep.systems.mujoco_model.kernel.smooth import SmoothTerms, SpatialVector
+
+Joint = tuple[int, int]
+BodyMember = tuple[int, int]  # index of a stack, and of a body in it
+JointMember = tuple[Joint, int]  # a joint of a stack, and the index of its body there
+MOST_OPERATIONS = 8_000  # multiplications and additions that all pairs of a model may cost in an iteration
+TINY = 1e-15  # MuJoCo's mjMINVAL, below which it takes the axes of two capsules for parallel
+PARALLEL = 100  # so many rounding errors of a determinant do so here
+
+
+class PairRow(NamedTuple):
+    """Pairs of geoms with shapes and contact laws of the same form, whose contacts are computed together."""
+
+    kinds: tuple[int, int]  # shapes of the first and of the second geoms
+    geoms: tuple[np.ndarray, np.ndarray]  # ids (n,)
+    bodies: tuple[tuple[BodyMember, ...], tuple[BodyMember, ...]]
+    real: np.ndarray  # (n,) whether the place of a row is a pair, and no filling
+
+
+class PairContacts(NamedTuple):
+    """Contacts of a row of pairs; forces and motions are those of the second geom relative to the first."""
+
+    row: PairRow
+    is_unsure: Any  # () bool, whether axes of touching capsules are parallel, where MuJoCo has two contacts
+    at: Vector  # from the base's origin
+    frame: tuple[Vector, Vector, Vector]  # normal and tangents, world axes
+    friction: tuple[Scalar, ...]  # see `ContactNumbers`
+    regular: Scalar
+    weight: Scalar
+    wanted: tuple[Scalar, ...]
+
+    @property
+    def dim(self) -> int:
+        """Number of constraint dimensions of each contact (MuJoCo's condim): 1, 3, 4 or 6."""
+        return len(self.friction) + 1
+
+    @property
+    def n(self) -> int:
+        """Number of places in the row."""
+        return len(self.row.real)
+
+
+def find_simulated_pairs(layout: RobotLayout, model: mujoco.MjModel) -> list[tuple[int, int]]:
+    """Return the pairs of geoms of the robot whose contacts the kernel simulates.
+
+    They are those of spheres and capsules; none if they cost too much together, see `count_operations`.
+    """
+    explicit = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
+    pairs = np.unique(np.sort(np.concatenate([find_geom_pairs(model), explicit]), axis=1), axis=0)
+    is_simulated = np.isin(model.geom_type[pairs], (SPHERE, CAPSULE)).all(axis=1)
+    is_simulated &= (model.body_weldid[model.geom_bodyid[pairs]] != 0).all(axis=1)
+    found = [tuple(sorted(map(int, one), key=lambda g: (model.geom_type[g], g))) for one in pairs[is_simulated]]
+    bodies = [tuple(find_stack_of_body(layout, int(model.geom_bodyid[g])) for g in one) for one in found]
+    dims = [describe_contact_law(model, *(np.array([g]) for g in one))[2] for one in found]
+    is_too_large = found and count_operations(layout, list(zip(bodies, dims, strict=True))) > MOST_OPERATIONS  # pyright: ignore[reportArgumentType]
+    return [] if is_too_large else found  # pyright: ignore[reportReturnType]
+
+
+def find_pair_rows(layout: RobotLayout, model: mujoco.MjModel) -> list[PairRow]:
+    """Return the simulated pairs of a model as rows of as many as a group has bodies."""
+    alike: dict[tuple, list[tuple[int, int]]] = {}
+    for a, b in find_simulated_pairs(layout, model):
+        alike.setdefault((*model.geom_type[[a, b]].tolist(), *_law_form(model, a, b)), []).append((a, b))
+    found = []
+    for key, pairs in alike.items():
+        for first in range(0, len(pairs), layout.group):
+            chosen = pairs[first : first + layout.group]
+            filled = chosen + chosen[:1] * (layout.group - len(chosen))
+            geoms = [np.array(one) for one in zip(*filled, strict=True)]
+            bodies = [tuple(find_stack_of_body(layout, int(b)) for b in model.geom_bodyid[one]) for one in geoms]
+            real = np.arange(layout.group) < len(chosen)
+            found.append(PairRow((key[0], key[1]), (geoms[0], geoms[1]), (bodies[0], bodies[1]), real))
+    return found
+
+
+def _law_form(model: mujoco.MjModel, a: int, b: int) -> tuple:
+    """What the contacts of two geoms must have in common with those of others to be computed with them."""
+    both = np.array([a]), np.array([b])
+    _, winner, dim = describe_contact_law(model, *both)
+    pairs = find_pair_ids(model, *both)
+    if pairs is not None:
+        return dim, *model.pair_solref[pairs[0]].tolist(), *model.pair_solimp[pairs[0]].tolist()
+    fields = model.geom_solmix, model.geom_solref, model.geom_solimp
+    return dim, winner, *(x for g in (a, b) for one in fields for x in np.ravel(one[g]).tolist())
+
+
+def moving_members(layout: RobotLayout, body: BodyMember) -> list[JointMember]:
+    """Return the joints between the base and a body, from the base outward."""
+    return [(j, body[1] if layout.stacks[j[0]].n > 1 else 0) for j in layout.moving_joints(body[0])]
+
+
+def joints_between(layout: RobotLayout, bodies: tuple[BodyMember, BodyMember]) -> tuple[list[JointMember], ...]:
+    """Return the joints that move the first but not the second of two bodies, and the other way round."""
+    one, other = (moving_members(layout, body) for body in bodies)
+    return [x for x in one if x not in other], [x for x in other if x not in one]
+
+
+def order_elimination(
+    layout: RobotLayout, couplings: list[tuple[BodyMember, BodyMember]]
+) -> tuple[list[JointMember], int]:
+    """Return the order in which joints are eliminated from the equations of motion, and what this costs.
+
+    The next joint is always one that the fewest of those left meet; the base is last.
+
+    Args:
+        layout: Stacks of like bodies of the robot.
+        couplings: Bodies of each pair of geoms that may touch.
+
+    Returns:
+        The joints of all limbs; and the number of multiplications with an addition, the base's 6x6 system included.
+    """
+    base = [("base", k) for k in range(6 * layout.has_free_base)]
+    meets: dict[Any, set] = {}
+    for joint in layout.joints:
+        for member in range(layout.stacks[joint[0]].n):
+            inner = moving_members(layout, (joint[0], member))
+            inner = inner[: inner.index((joint, member))]
+            meets[joint, member] = {*inner, *base}
+            for one in inner:
+                meets[one].add((joint, member))
+    for both in couplings:
+        one, other = joints_between(layout, both)
+        for x in one:
+            for y in other:
+                meets[x].add(y)
+                meets[y].add(x)
+    order, cost = [], sum(k * (k + 1) // 2 for k in range(len(base)))
+    while meets:
+        chosen = min(meets, key=lambda x: len(meets[x]))
+        near = meets.pop(chosen)
+        cost += len(near) * (len(near) + 3) // 2
+        for one in near:
+            if one in meets:
+                meets[one] |= near
+                meets[one] -= {one, chosen}
+        order.append(chosen)
+    return order, cost
+
+
+def count_operations(layout: RobotLayout, pairs: list[tuple[tuple[BodyMember, BodyMember], int]]) -> int:
+    """Return the multiplications with an addition that pairs of geoms cost in an iteration of Newton's method.
+
+    Args:
+        layout: Stacks of like bodies of the robot.
+        pairs: Bodies of each pair, and the dimension of its contact.
+    """
+    total = order_elimination(layout, [bodies for bodies, _ in pairs])[1]
+    for bodies, dim in pairs:
+        joints, size = sum(map(len, joints_between(layout, bodies))), 3 if dim <= 3 else 6
+        total += size * size * joints + size * joints * (joints + 1) // 2
+    return total
+
+
+def find_pair_contacts(layout: RobotLayout, numbers: ModelNumbers, smooth: SmoothTerms) -> list[PairContacts]:
+    """Compute the contacts of the robot's geoms with one another in a state; geoms apart have zero weight."""
+    return [_find_row_contacts(numbers, smooth, row) for row in find_pair_rows(layout, numbers.model)]
+
+
+def _find_row_contacts(numbers: ModelNumbers, smooth: SmoothTerms, row: PairRow) -> PairContacts:
+    model, places, along = numbers.model, [], []
+    for geoms, bodies, kind in zip(row.geoms, row.bodies, row.kinds, strict=True):
+        centres, axes = [], []
+        for geom, (stack, member) in zip(geoms, bodies, strict=True):
+            place, ids = smooth.places[stack], np.array([geom])
+            x, y, z = (one.member(member) for one in place.axes)
+            centres.append(place.origin.member(member) + rotate((x, y, z), numbers.vector("geom_pos", ids)))
+            columns = numbers.rotation("geom_quat", ids)
+            axes.append(z if columns is None else rotate((x, y, z), columns[2]))
+        places.append(join_vectors(centres))
+        along.append(join_vectors(axes) * numbers.get("geom_size", geoms, 1) if kind == CAPSULE else None)
+    first, second, parallel = _find_nearest(places, along)
+    radius = [numbers.get("geom_size", geoms, 0) for geoms in row.geoms]
+    gap = second - first
+    length = square_root(gap.dot(gap))
+    normal = gap * (1 / largest(length, TINY))
+    distance = length - radius[0] - radius[1]
+    at = first + normal * (radius[0] + distance * 0.5)
+    frame = (normal, *_make_tangents(normal))
+    motions = [place.motion for place in smooth.places]
+    moving = [join_motions(motions, bodies) for bodies in row.bodies]
+    relative = moving[1] - moving[0]
+    bodies = model.geom_bodyid[row.geoms[0]], model.geom_bodyid[row.geoms[1]]
+    found = apply_contact_law(numbers, row.geoms, bodies, distance, frame, (relative.velocity_at(at), relative.angular))
+    weight = found.weight * Scalar(row.real.astype(float))
+    is_unsure = jnp.asarray(False) if parallel is None else (parallel & (weight > ZERO)).any()
+    return PairContacts(row, is_unsure, at, frame, *found._replace(weight=weight))
+
+
+def join_motions(
+    motions: Mapping[int, SpatialVector] | Sequence[SpatialVector], bodies: tuple[BodyMember, ...]
+) -> SpatialVector:
+    """Return the motions of a row's bodies, from those of all stacks."""
+    parts = [[motions[s][k].member(m) for s, m in bodies] for k in range(2)]
+    return SpatialVector(join_vectors(parts[0]), join_vectors(parts[1]))
+
+
+def _find_nearest(places: list[Vector], along: list[Vector | None]) -> tuple[Vector, Vector, Any]:
+    """Nearest points of the middles of two shapes, as MuJoCo finds them, and whether two axes are parallel.
+
+    A sphere's middle is its centre, and a capsule's a segment, given by half of it; shapes are in MuJoCo's order.
+    """
+    (a, b), (one, other) = places, along
+    if other is None:
+        return a, b, None
+    if one is None:  # a sphere and a capsule
+        square = other.dot(other)
+        share = clip(other.dot(a - b) / square, -ONE, ONE)
+        return a, b + other * share, None
+    arm = a - b
+    p, q, r = one.dot(one), -one.dot(other), other.dot(other)
+    u, v = -one.dot(arm), other.dot(arm)
+    determinant = p * r - q * q
+    limit = largest(TINY, p * r * float(PARALLEL * jnp.finfo(determinant.value.dtype).eps))
+    parallel = determinant < limit
+    inverse = 1 / largest(determinant, limit)
+    s, t = (r * u - q * v) * inverse, (p * v - q * u) * inverse
+    t = where(s > ONE, (v - q) / r, where(s < -ONE, (v + q) / r, t))
+    s = where(t > ONE, (u - q) / p, where(t < -ONE, (u + q) / p, s))
+    return a + one * clip(s, -ONE, ONE), b + other * clip(t, -ONE, ONE), parallel
+
+
+def _make_tangents(normal: Vector) -> tuple[Vector, Vector]:
+    """Tangents to computed normals, as `mju_makeFrame` chooses them."""
+    is_flat = (normal.y < 0.5) & (Scalar(-0.5) < normal.y)
+    along = where(is_flat, normal.y, normal.z)
+    first = Vector(ZERO, where(is_flat, ONE, ZERO), where(is_flat, ZERO, ONE)) - normal * along
+    first = first * (1 / square_root(first.dot(first)))
+    return first, normal.cross(first)
