@@ -6,7 +6,6 @@ the slope of a convex cost of that residual, so that the accelerations minimize 
 
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 
@@ -410,7 +409,7 @@ def compute_impedance(law: ConstraintLaw, depth: Scalar) -> Scalar:
             low = raise_to_power(x, exponent) * Scalar(1 / middle.value ** (exponent - 1))
             high = 1 - raise_to_power(1 - x, exponent) * Scalar(1 / (1 - middle.value) ** (exponent - 1))
             curve = where(x < middle, low, high)
-            y = curve if power.is_exactly(exponent) else where(jnp.asarray(power.value == exponent), curve, y)
+            y = curve if power.is_exactly(exponent) else where(power.value == exponent, curve, y)
     return least + y * (top - least)
 
 

@@ -6,12 +6,11 @@ Such a contact couples two limbs, which meet in the base only otherwise; `coupli
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 
 from sweep.systems.mujoco_model.geom_pairs import find_geom_pairs
-from sweep.systems.mujoco_model.kernel.constraints import apply_contact_law, describe_contact_law
+from sweep.systems.mujoco_model.kernel.constraints import TINY, apply_contact_law, describe_contact_law
 from sweep.systems.mujoco_model.kernel.layout import CAPSULE, SPHERE, RobotLayout, find_pair_ids, find_stack_of_body
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
 from sweep.systems.mujoco_model.kernel.scalars import (
@@ -32,8 +31,7 @@ Joint = tuple[int, int]
 BodyMember = tuple[int, int]  # index of a stack, and of a body in it
 JointMember = tuple[Joint, int]  # a joint of a stack, and the index of its body there
 MOST_OPERATIONS = 8_000  # multiplications and additions that all pairs of a model may cost in an iteration
-TINY = 1e-15  # MuJoCo's mjMINVAL, below which it takes the axes of two capsules for parallel
-PARALLEL = 100  # so many rounding errors of a determinant do so here
+PARALLEL = 100  # axes of capsules are parallel if their determinant is so many rounding errors
 
 
 class PairRow(NamedTuple):
@@ -210,7 +208,7 @@ def _find_row_contacts(numbers: ModelNumbers, smooth: SmoothTerms, row: PairRow)
     bodies = model.geom_bodyid[row.geoms[0]], model.geom_bodyid[row.geoms[1]]
     found = apply_contact_law(numbers, row.geoms, bodies, distance, frame, (relative.velocity_at(at), relative.angular))
     weight = found.weight * Scalar(row.real.astype(float))
-    is_unsure = jnp.asarray(False) if parallel is None else (parallel & (weight > ZERO)).any()
+    is_unsure = np.array(False) if parallel is None else (parallel & (weight > ZERO)).any()
     return PairContacts(row, is_unsure, at, frame, *found._replace(weight=weight))
 
 
@@ -238,7 +236,7 @@ def _find_nearest(places: list[Vector], along: list[Vector | None]) -> tuple[Vec
     p, q, r = one.dot(one), -one.dot(other), other.dot(other)
     u, v = -one.dot(arm), other.dot(arm)
     determinant = p * r - q * q
-    limit = largest(TINY, p * r * float(PARALLEL * jnp.finfo(determinant.value.dtype).eps))
+    limit = largest(TINY, p * r * float(PARALLEL * np.finfo(determinant.value.dtype).eps))
     parallel = determinant < limit
     inverse = 1 / largest(determinant, limit)
     s, t = (r * u - q * v) * inverse, (p * v - q * u) * inverse
