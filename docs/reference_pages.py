@@ -513,6 +513,7 @@ def model_paths_page() -> str:
         numbers_table(terrain_heights, terrain_heights.NUMBERS),
         "## `push.NAME`",
         numbers_table(disturbances, disturbances.PUSH_PARAMETERS),
+        "`push.NAME.body`, the pushed body, can be an axis, too.",
         "## `payload.NAME`",
         numbers_table(payloads, payloads.PAYLOAD),
         "## `motor.NAME`",

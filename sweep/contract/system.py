@@ -16,6 +16,7 @@ from sweep.contract.engine import Engine, Trace
 from sweep.contract.engine_settings import EngineSettings
 
 if TYPE_CHECKING:
+    import mujoco
     import pandas as pd
     from matplotlib.figure import Figure
 
@@ -33,6 +34,15 @@ class AuditVariant(NamedTuple):
     description: str
     change: Callable[[EngineSettings], EngineSettings] = lambda settings: settings
     columns: Mapping[str, Callable[[Any], Any]] = MappingProxyType({})  # other values of parameters, of each row's own
+
+
+class PushColumns(NamedTuple):
+    """Paths of the parameters of one push on a body of the simulated system."""
+
+    sizes: tuple[str, ...]  # of which a study varies one: impulse (N s) or force (N)
+    direction: str  # rad in the horizontal plane, from the world's x axis
+    start: str  # s, from the start of the rollout
+    body: str = ""  # name of the pushed body; empty where it cannot vary
 
 
 class System(Protocol):
@@ -112,6 +122,15 @@ class System(Protocol):
     @property
     def audit_variants(self) -> Mapping[str, AuditVariant]:
         """Variants of the simulation that `sweep audit` compares with the original, by name."""
+        ...
+
+    @property
+    def push_columns(self) -> Mapping[str, PushColumns]:
+        """Parameters of each push that the scenario may have, by name of the push."""
+        ...
+
+    def start_pose(self) -> "tuple[mujoco.MjModel, np.ndarray]":
+        """Return the nominal MuJoCo model, and the positions (nq,) at which its rollouts start."""
         ...
 
     def settings_summary(self, settings: EngineSettings) -> Mapping[str, str]:

@@ -21,6 +21,7 @@ from sweep.report.figure import StudyFigure
 from sweep.report.labels import axis_title, axis_words
 from sweep.report.maps import draw_glyph_at, legend_cell
 from sweep.report.outcome_style import FAILURE_COLOUR, INVALID_MARK_COLOUR, SUCCESS_COLOUR, find_style
+from sweep.report.push_map import push_map_figure
 from sweep.runs import audit
 from sweep.runs.results import Results
 from sweep.study.columns import metric_columns
@@ -42,6 +43,7 @@ STYLES = (
 def list_figures(results: Results) -> Iterator[StudyFigure]:
     """Yield every figure that the study has data for."""
     yield from draws.draws_figure(results)
+    yield from push_map_figure(results)
     yield from map_figures(results)
     yield from effects_figure(results)
     yield from causes_figure(results)

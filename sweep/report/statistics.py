@@ -6,7 +6,7 @@ from functools import partial
 
 import pandas as pd
 
-from sweep.analysis import failing, rare, screening, sensitivity
+from sweep.analysis import failing, push_map, rare, screening, sensitivity
 from sweep.analysis.axis_effects import compare_along_axes
 from sweep.analysis.sample import drop_repeated_rollouts, pooled_rate
 from sweep.analysis.sampling_units import condition_rates, describe_sample_size, draw_ids, interval_method
@@ -22,6 +22,7 @@ from sweep.runs import refine
 from sweep.runs.results import Results
 from sweep.study.design_kinds.base import Sensitivity
 
+PUSH_TITLE = "Push thresholds: the size at which half of the rollouts succeed, by a fit that falls with the size"
 Analysis = Callable[[pd.DataFrame, Experiment, str | None], pd.DataFrame]
 
 
@@ -74,6 +75,8 @@ def statistics_sections(
     if effective:
         margins = sensitivity.margins_from_nominal(whole, exp)
         yield "Margins: distance from the nominal value up to which rollouts succeed", _select_axes(margins, effective)
+    if pushes := push_map.select_push_rows(rows, exp):
+        yield PUSH_TITLE, push_map.threshold_table(pushes[0])
     if effective and several:
         title = (
             f"Tolerance: the error at which the probability of success falls to {format_percent(level)} (logistic fit; "

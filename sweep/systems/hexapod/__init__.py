@@ -21,6 +21,7 @@ from sweep.contract.system import (
     ClassesByKind,
     ColumnValues,
     Parameter,
+    PushColumns,
     SystemSetup,
     split_side_prefix,
     split_world_and_belief,
@@ -48,6 +49,7 @@ from sweep.planning.plan_table import (
 )
 
 if TYPE_CHECKING:
+    import mujoco
     import pandas as pd
     from matplotlib.figure import Figure
 
@@ -87,6 +89,8 @@ AUDIT_VARIANTS = {
     "solid": AuditVariant("with solid bodies, on native", lambda s: replace(s, name="native", solid=True)),
 }
 
+PUSH = PushColumns(("execution.push_impulse",), "execution.push_direction", "execution.push_time")
+
 
 @dataclass(frozen=True)
 class Hexapod:
@@ -104,6 +108,7 @@ class Hexapod:
     replay_formats = ("mcap", "states", "model", "plot", "png", "video")
     unsupported_commands = MappingProxyType({"policy": "its controllers are built in"})
     audit_variants = AUDIT_VARIANTS
+    push_columns = MappingProxyType({"push": PUSH})
     device = staticmethod(run_id.describe_device)
     run_id = staticmethod(run_id.run_id)
     judge = staticmethod(outcome.classify)
@@ -149,6 +154,15 @@ class Hexapod:
     def source_files(self) -> dict[str, Path]:
         """Return an empty mapping: the hexapod needs no files beside its configuration."""
         return {}
+
+    def start_pose(self) -> "tuple[mujoco.MjModel, np.ndarray]":
+        """Return the MuJoCo model of the nominal robot, and the positions (nq,) at which its plan starts."""
+        from sweep.engines.batching import nominal_plan  # slow to import
+        from sweep.engines.closed_loop import start_state
+        from sweep.models import scene
+
+        start = start_state(self.case, self.case, nominal_plan(self.case))
+        return scene.compile_model(self.case), np.asarray(start.qpos, float)
 
     def settings_summary(self, settings: EngineSettings) -> dict[str, str]:
         """Return manoeuvre, obstacle, engine, time step and precision as texts for readers of a report, by name."""

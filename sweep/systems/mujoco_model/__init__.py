@@ -26,6 +26,7 @@ from sweep.contract.system import (
     ClassesByKind,
     ColumnValues,
     Parameter,
+    PushColumns,
     SystemSetup,
     split_side_prefix,
     split_world_and_belief,
@@ -33,7 +34,7 @@ from sweep.contract.system import (
 from sweep.core.conditions import UNTRUSTED, Condition, parse_conditions
 from sweep.core.errors import InputError, require_choice
 from sweep.core.outcomes import classify_rows, judge_cause
-from sweep.core.parameters import build, check_value, file_name, quantity
+from sweep.core.parameters import build, check_value, choice, file_name, quantity
 from sweep.systems.mujoco_model import (
     disturbances,
     fields,
@@ -61,6 +62,7 @@ from sweep.systems.mujoco_model.model_spec import (
 )
 
 if TYPE_CHECKING:
+    import mujoco
     import pandas as pd
 
 ENGINE_AXES = (
@@ -158,6 +160,20 @@ class MujocoModel(ModelSpec):
             found[str(file.resolve().relative_to(place))] = file
         return found
 
+    @property
+    def push_columns(self) -> dict[str, PushColumns]:
+        """Parameters of each push of the scenario, by its name."""
+        paths = {one.name: f"push.{one.name}." for one in self.pushes}
+        return {
+            name: PushColumns((f"{path}impulse", f"{path}force"), f"{path}direction", f"{path}start", f"{path}body")
+            for name, path in paths.items()
+        }
+
+    def start_pose(self) -> "tuple[mujoco.MjModel, np.ndarray]":
+        """Return the nominal model, and the positions (nq,) of its keyframe or default pose."""
+        at = self.keyframe_index
+        return self.model, np.array(self.model.qpos0 if at < 0 else self.model.key_qpos[at])
+
     def settings_summary(self, settings: EngineSettings) -> dict[str, str]:
         """Return files, engine and time step as texts for readers of a report, by name."""
         listed = {path: ", ".join(names) for path, names in self.listed}
@@ -175,6 +191,10 @@ class MujocoModel(ModelSpec):
             if column != path:
                 raise InputError(f"axis {column} is not allowed: a file belongs to both sides, leave out side")
             return file_name(self.nominal_file_of_path(path))
+        if path in self.choices_by_path:  # beside files: pushed bodies
+            if column != path:
+                raise InputError(f"axis {column} is not allowed: a pushed body belongs to both sides, leave out side")
+            return choice(self.choices_by_path[path], *self.body_names)
         if terrain.is_terrain_path(path):
             return self._terrain_parameter(path)
         if root == "model":
@@ -261,7 +281,7 @@ class MujocoModel(ModelSpec):
         started: set[tuple[str, str]] = set()
         for values in distinct:
             ways = {c.removeprefix("engine."): value for c, value in values.items() if c.startswith("engine.")}
-            system = self.with_files(values)
+            system = self.with_choices(values)
             system.require_parameters(columns if system is not self else (), settings)
             made = self.make_engine(replace(settings, **ways), *self.make_world_and_belief(values), limits=None)
             for line in made.check_varied([*fields.select_quantities(system.model, dict.fromkeys(varied)), *grounds]):
@@ -286,14 +306,17 @@ class MujocoModel(ModelSpec):
                 chosen = f"model.mjcf = {self.config.mjcf}, model.controller = {self.config.controller}"
                 raise InputError(f"{error} (with {chosen})") from None
 
-    def with_files(self, values: ColumnValues) -> "MujocoModel":
-        """Return this system with other model or controller files. Raises `InputError` for a misfit.
+    def with_choices(self, values: ColumnValues) -> "MujocoModel":
+        """Return this system with other model or controller files, or pushes on other bodies.
 
         Args:
-            values: ColumnValues by path; those of `FILE_PATHS` count.
+            values: Values by path; those of `choices_by_path` count.
+
+        Raises:
+            InputError: The files do not fit together.
         """
-        chosen = {path: str(values[path]) for path in FILE_PATHS if path in values}
-        if all(name == self.nominal_file_of_path(path) for path, name in chosen.items()):
+        chosen = {path: str(values[path]) for path in self.choices_by_path if path in values}
+        if all(name == self.choices_by_path[path] for path, name in chosen.items()):
             return self
         made = _build_variant(self.values, tuple(chosen.items()), self.config.content)
         room = max(made.delay_buffer, self.delay_buffer), max(made.action_buffer, self.action_buffer)
@@ -345,7 +368,7 @@ class MujocoModel(ModelSpec):
 
     def make_engine(self, settings: EngineSettings, world: SideValues, belief: SideValues, limits: Any) -> ModelEngine:
         """Compile an engine that simulates the model on C MuJoCo, MJX or a kernel."""
-        chosen = self.with_files(world.select_group("model"))
+        chosen = self.with_choices(dict(world.values))
         model, shape = self.model_values(world), chosen.config.terrain
         shared = {
             path: value for path, value in model.items() if path not in fields.select_quantities(chosen.model, model)
@@ -405,7 +428,7 @@ def build_nominal(values: Mapping[str, Any], kinds: ClassesByKind) -> SystemSetu
         MujocoModel(about, ()),
         {group: values.get(group) or {} for group in ("noise", "controller", "start")},
     )
-    bodies = [system.model.body(k).name for k in range(1, system.model.nbody)]
+    bodies = system.body_names
     pushes, pushed = disturbances.parse_pushes(values.get("push") or {}, bodies)
     loads, loaded = payloads.parse_payloads(values.get("payload") or {}, bodies)
     drives, networks, driven = motors.parse_motors(values.get("motor") or {}, system.model)
@@ -543,15 +566,15 @@ def _list_axis_files(study: Mapping[str, Any]) -> tuple[tuple[str, tuple[str, ..
 
 @functools.lru_cache(maxsize=64)
 def _build_variant(values: str, chosen: tuple[tuple[str, str], ...], content: str) -> MujocoModel:
-    """Build a system from a plain configuration as JSON, with other files by path. Raises `InputError`.
+    """Build a system from a plain configuration as JSON, with other files or bodies by path. Raises `InputError`.
 
     The digest of all contents is an argument, so that a changed file is read again.
     """
     plain = json.loads(values)
     plain["model"].pop("content", None)
     for path, name in chosen:
-        _, *parents, key = path.split(".")
-        group = plain["model"]
+        *parents, key = path.split(".")
+        group = plain
         for parent in parents:
             group = group[parent]
         group[key] = name

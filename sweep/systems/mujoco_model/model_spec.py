@@ -240,6 +240,17 @@ class ModelSpec:
         paths = {**self.controller.belief_paths, **{name: f"controller.{name}" for name in self.controller.parameters}}
         return {name: values[path] if path in values else self.nominal_value(path) for name, path in paths.items()}
 
+    @property
+    def body_names(self) -> list[str]:
+        """Names of the model's bodies, without the world."""
+        return [self.model.body(k).name for k in range(1, self.model.nbody)]
+
+    @property
+    def choices_by_path(self) -> dict[str, str]:
+        """Names that an axis may replace by building another system: files and pushed bodies, by path."""
+        files_by_path = {path: self.nominal_file_of_path(path) for path in FILE_PATHS}
+        return files_by_path | {f"push.{one.name}.body": one.body for one in self.pushes}
+
     def nominal_file_of_path(self, path: str) -> str:
         """Return the nominal file or module of a parameter that names a file, such as `model.mjcf`."""
         owner = self.config.terrain if terrain.is_terrain_path(path) else self.config
@@ -247,8 +258,8 @@ class ModelSpec:
 
     def nominal_value(self, path: str) -> Any:
         """Return the nominal value of a parameter path. Raises `InputError` where there is none."""
-        if path in FILE_PATHS:
-            return self.nominal_file_of_path(path)
+        if path in self.choices_by_path:
+            return self.choices_by_path[path]
         numbers = dict(self.controller_values)
         return numbers[path] if path in numbers else fields.parameter_field(self.model, path).default
 
