@@ -544,7 +544,7 @@ def formats_page() -> str:
             STABLE,
             "all of a study for archives",
         ),
-        ("certificate", "`sweep certify -o`", json_, STABLE, "region, guarantee and assumptions"),
+        ("`certificate.json`", "`sweep certify`", json_, STABLE, "region, guarantee and assumptions"),
         ("pairs", "`sweep compare -o`", "CSV", STABLE, "pairs of rows that differ"),
         ("trace", "`sweep replay --mcap`", "MCAP, schemas of Foxglove", OPEN, "robot, forces, joints, stages"),
         ("states", "`sweep replay --states`", parquet, STABLE, "states, torques and forces by control tick"),

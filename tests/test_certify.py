@@ -9,10 +9,13 @@ from scipy.stats import binom
 from small_study import one_line
 
 from sweep.analysis import certify
+from sweep.analysis.certify import CertifiedRegion
 from sweep.cli.certification import format_certificate
 from sweep.cli.main import main
 from sweep.core.errors import InputError
 from sweep.core.expressions import condition_mask
+from sweep.report.page import opening
+from sweep.runs import results
 
 DRAWS = """scenario: walk_tripod
 study:
@@ -138,6 +141,16 @@ def test_a_study_is_certified_by_fresh_draws_and_checked_where_it_looks_worst(
     capsys.readouterr()
     assert main(command) == 0  # nothing is simulated again
     assert capsys.readouterr().out == first
+    shown = opening.describe_region(found := results.read_results(tmp_path / "d"))
+    assert shown
+    assert ((shown[1].codes == 0) == condition_mask(found.rows, region["where"])).all()
+    assert shown[0]["start"] == ["world.contact.friction", "manoeuvre.half_step_ratio"]  # that the fake engine reads
+    ends = np.concatenate([np.reshape(line, (-1, 2)) for line in shown[0]["outlines"][0]["lines"]])
+    kept = CertifiedRegion.from_values(region["region"])
+    score = kept.score(pd.DataFrame(ends, columns=shown[0]["start"])[kept.names].to_numpy())
+    assert score == pytest.approx(np.full(len(ends), kept.threshold), abs=0.05)
+    assert main(["relabel", "d", "tilt_max_deg<50"]) == 0  # what was certified is another study's now
+    assert opening.describe_region(results.read_results(tmp_path / "d")) is None
 
 
 def test_draws_of_which_none_fails_leave_regions_in_no_order(fake_engine, tmp_path, monkeypatch, capsys):

@@ -12,6 +12,7 @@ from scipy.stats import norm
 
 from sweep.analysis import rare
 from sweep.cli.main import main
+from sweep.report.page import opening
 from sweep.runs import results, store
 from sweep.study import importance_sampling
 from sweep.study.adaptive_sampling import RoundSummary
@@ -37,6 +38,12 @@ def test_a_failure_of_three_in_a_hundred_thousand_is_found_and_measured(fake_eng
     assert told.is_reliable
     assert told.equivalent_plain_draws > 1e6
     assert str(told) in out
+    shown = opening.describe_estimate(found)  # what the page opens with
+    assert shown
+    modes, mode_of_row = shown[0]["modes"], shown[1].codes
+    assert sum(mode["share"] for mode in modes) == pytest.approx(1.0)
+    assert np.bincount(mode_of_row[mode_of_row >= 0]).tolist() == [mode["rows"] for mode in modes]
+    assert set(found.rows["outcome"][mode_of_row >= 0]) == {"failure"}
     assert main(["stats", str(tmp_path)]) == 0
     stats = capsys.readouterr().out
     assert "fell" in stats

@@ -7,8 +7,9 @@ certified region fails more often than promised is at most 1 - confidence. In co
 observed failure rate is small enough breaks the promise about half the time, because it was selected for looking good.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,6 +41,11 @@ class NestedBoxes:
         sides += [np.searchsorted(-high, -v, side="right") for high, v in zip(self.high.T, x.T, strict=True)]
         return len(self.low) - np.min(sides, axis=0).astype(float)
 
+    def region_values(self, names: list[str], threshold: float) -> dict[str, Any]:
+        """Return the region `score(x) <= threshold` as plain values, see `CertifiedRegion`."""
+        number = len(self.low) - int(threshold) - 1
+        return {"names": names, "low": self.low[number].tolist(), "high": self.high[number].tolist()}
+
     def condition(self, names: list[str], threshold: float) -> str:
         """Write `score(x) <= threshold` as a condition on columns, in the syntax of `--where`."""
         number = len(self.low) - int(threshold) - 1
@@ -63,6 +69,11 @@ class QuadraticLogOdds:
         z = (x - self.centre) / self.scale
         return self.constant + z @ self.linear + np.einsum("ni,ij,nj->n", z, self.quadratic_form, z)
 
+    def region_values(self, names: list[str], threshold: float) -> dict[str, Any]:
+        """Return the region `score(x) <= threshold` as plain values, see `CertifiedRegion`."""
+        numbers = {field.name: np.asarray(getattr(self, field.name)).tolist() for field in fields(self)}
+        return {"names": names, "threshold": float(threshold), **numbers}
+
     def condition(self, names: list[str], threshold: float) -> str:
         """Write `score(x) <= threshold` as a condition on columns, in the syntax of `--where`."""
         z = [f"({name} - {_text(c)}) / {_text(s)}" for name, c, s in zip(names, self.centre, self.scale, strict=True)]
@@ -75,6 +86,43 @@ class QuadraticLogOdds:
 
 
 RegionScore = NestedBoxes | QuadraticLogOdds  # regions are where the score is small
+
+
+@dataclass(frozen=True)
+class CertifiedRegion:
+    """A region of parameters as a certificate stores it: the rows whose score is at most a threshold."""
+
+    names: list[str]  # columns (d,) of the parameters
+    score: RegionScore
+    threshold: float
+
+    @classmethod
+    def from_values(cls, values: Any) -> Self:
+        """Return the region that `region_values` of its score wrote.
+
+        Raises:
+            KeyError, TypeError, ValueError: A value is missing, or numbers have the wrong shape or are not finite.
+        """
+        names = [str(name) for name in values["names"]]
+        d = len(names)
+        if "low" in values:
+            low, high = (_finite_array(values[end], 1, d) for end in ("low", "high"))
+            return cls(names, NestedBoxes(low, high), 0.0)
+        centre, scale, linear = (_finite_array(values[name], d) for name in ("centre", "scale", "linear"))
+        constant, threshold = _finite_array([values["constant"], values["threshold"]], 2).tolist()
+        form = _finite_array(values["quadratic_form"], d, d)
+        return cls(names, QuadraticLogOdds(centre, scale, constant, linear, form), threshold)
+
+    def contains(self, x: np.ndarray) -> np.ndarray:
+        """Return which rows of x (n, d) lie in the region, (n,) of bool."""
+        return self.score(x) <= self.threshold
+
+
+def _finite_array(values: Any, *shape: int) -> np.ndarray:
+    array = np.asarray(values, dtype=float).reshape(shape)
+    if not np.isfinite(array).all():
+        raise ValueError("not finite")
+    return array
 
 
 def _rounded(numbers: np.ndarray) -> np.ndarray:

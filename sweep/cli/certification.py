@@ -19,7 +19,7 @@ from sweep.config.experiment import Experiment, build_experiment
 from sweep.core.errors import InputError
 from sweep.core.files import path_inside_folder
 from sweep.report.tables import markdown_table
-from sweep.runs import extend, results, runner, store
+from sweep.runs import certificates, extend, results, runner, store
 from sweep.study import design_kinds
 
 MAX_PARAMETERS = 8
@@ -60,7 +60,9 @@ def certify_region(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
     )
     if again:
         lines += ["", markdown_table(pd.DataFrame([{**one, "95 %": format_failure_interval(one)} for one in again]))]
-    return "\n".join(lines), certificate_as_json_values(found, args, names) | {"checked": again}
+    values = certificate_as_json_values(found, args, names) | {"checked": again}
+    certificates.save_certificate(folder, values, exp)
+    return "\n".join(lines), values
 
 
 def check_arguments(args: argparse.Namespace) -> None:
@@ -193,6 +195,7 @@ def certificate_as_json_values(
         "confidence": certificate.confidence,
         "certified": certificate.is_certified,
         "where": certificate.score.condition(names, certificate.threshold) if certificate.is_certified else None,
+        "region": certificate.score.region_values(names, certificate.threshold) if certificate.is_certified else None,
         "rows": certificate.rows,
         "failed": certificate.failed,
         "fresh_rows": certificate.fresh_draws,

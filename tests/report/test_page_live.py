@@ -78,6 +78,16 @@ def uneven(tmp_path_factory):
     return page.write_page(found, out / "report.html"), found.rows
 
 
+@pytest.fixture(scope="module")
+def rare(tmp_path_factory):
+    """A search for failures, which lie where friction is low."""
+    out = tmp_path_factory.mktemp("rare")
+    low = "{path: contact.friction, side: world, distribution: {kind: normal, mean: 0.8, std: 0.1}}"
+    axes = ["~study.axes.step", "~study.axes.friction", f"+study.axes.low={low}"]
+    assert simulated(out, *axes, "study.design={kind: importance, num: 256}", "study.replays=0") == 0
+    return out
+
+
 @pytest.fixture
 def gridded(browser, uneven):
     browser.open(uneven[0])
@@ -527,7 +537,7 @@ def records():
     return {name: set(re.findall(r"@property \{.*\} \[?(\w+)", body)) for name, body in found}
 
 
-def test_python_writes_the_keys_that_the_script_reads(browser, refined):
+def test_python_writes_the_keys_that_the_script_reads(browser, refined, rare):
     """Both ways: a key that the script lacks is never read, and one that Python lacks is missed."""
     told, folder = records(), refined
     found = results.read_results(folder)
@@ -541,6 +551,10 @@ def test_python_writes_the_keys_that_the_script_reads(browser, refined):
                       ("Shown", about["replays"][0]), ("Arrow", about["arrow"]), ("Binned", many["densities"][0]),
                       ("Theory", about["theory"][0])):  # fmt: skip
         assert set(one) == told[name], name
+    estimate = page.opening.describe_estimate(results.read_results(rare))
+    assert estimate
+    assert set(estimate[0]) == told["Estimate"]
+    assert set(estimate[0]["modes"][0]) == told["Mode"]
     for one in about["columns"]:
         assert set(one) <= told["ColumnFormat"]
 
@@ -735,6 +749,32 @@ def test_a_study_of_each_parameter_alone_opens_on_the_outcomes_along_each(browse
     browser.drag(left + 0.02 * width, top + 30, left + 0.3 * width, top + 30)
     low = found.rows[found.rows["world.contact.friction"] <= 0.4]
     browser.until(f"document.querySelector('#passing').textContent.startsWith('{len(low)} of ')")
+    assert browser.errors == []
+
+
+def test_a_search_for_failures_opens_on_its_estimate_and_modes(browser, rare, tmp_path):
+    """A click on a mode selects its rollouts in every view, and is told to be no condition of a command."""
+    found = results.read_results(rare)
+    browser.open(page.write_page(found, tmp_path / "report.html"))
+    browser.until("performance.getEntriesByName('map').length")
+    tops = browser.run(
+        "['#estimate-chart', '#map'].map((one) => document.querySelector(one).getBoundingClientRect().top)"
+    )
+    assert tops[0] < tops[1]
+    (about, column) = page.opening.describe_estimate(found)
+    words = [one.text for one in ElementTree.fromstring(drawing(browser, "Probability of failure")).iter() if one.text]
+    assert any(word.startswith(f"{about['probability']:.3g}") for word in words)
+    left, top, width, _ = browser.place("#estimate-chart")
+    browser.mouse("Moved", left + 0.3 * width, top + 130)
+    assert about["modes"][0]["label"] in browser.run("document.querySelector('#estimate-tip').textContent")
+    browser.click(left + 0.3 * width, top + 130)
+    assert passing(browser) == ((column.codes == 0).sum(), len(found.rows))
+    browser.run("document.querySelector('#copy').click()")
+    assert "only this page has it" in browser.run("document.querySelector('#copied').textContent")
+    browser.until("location.hash.includes('failure+mode=0..0')")
+    left, top, width, _ = browser.place("#estimate-chart")
+    browser.click(left + 0.3 * width, top + 130)
+    assert passing(browser)[0] == len(found.rows)
     assert browser.errors == []
 
 

@@ -25,6 +25,7 @@ from sweep.analysis.sample import pooled_rate
 from sweep.analysis.sampling_units import has_independent_rows, independent_unit, interval_method
 from sweep.config.experiment import Experiment
 from sweep.core.files import path_inside_folder, read_bytes_limited, write_atomically
+from sweep.core.outcomes import SUCCESS
 from sweep.core.plot_style import LEG_COLORS, plot_style
 from sweep.replay.arrows import FORCE_SCALE, FORCE_SHOWN
 from sweep.report import tables
@@ -32,7 +33,7 @@ from sweep.report.figure import StudyFigure
 from sweep.report.figures import list_figures
 from sweep.report.headline import study_headline
 from sweep.report.labels import heading, hover_text, outcome_kind
-from sweep.report.page import data
+from sweep.report.page import data, opening
 from sweep.report.page.replay_data import ShownReplay, describe_replays, read_shown_replays
 from sweep.report.page.script import bundle_script, content_security_policy, style_sheet
 from sweep.report.representative import Representative, find_representatives
@@ -129,13 +130,20 @@ def render_page(
     rate = pooled_rate(rows, results.exp)
     # the script's own intervals and tests take every row as independent
     independent = not pairs and has_independent_rows(rows, results.exp)
-    about = data.page_data(results, chosen) | {
+    estimate = None if pairs else opening.describe_estimate(results)
+    region = None if pairs else opening.describe_region(results)
+    start = chosen or (tuple(region[0]["start"]) if region else ())
+    about = data.page_data(results, start, [found[1] for found in (estimate, region) if found]) | {
         "sure": rate.has_interval and independent,
         "independent": independent,
         "adaptive": results.exp.study.is_adaptive and not pairs,
         "curves": [] if pairs else list(data.alone_curves(results)),
         "sides": data.describe_sides(results, pairs.sides, pairs.folders) if pairs else None,
+        "estimate": estimate[0] if estimate else None,
+        "region": region[0] if region else None,
     }
+    if pairs:
+        about["kinds"] = [one | ({"label": "both succeed"} if one["key"] == SUCCESS else {}) for one in about["kinds"]]
     others = [
         style,
         script,
@@ -169,6 +177,8 @@ def render_page(
         ],
         repeated=results.exp.study.replicates > 1,
         curves=about["curves"],
+        estimate=about["estimate"],
+        region=about["region"],
         plates=plates,
         expectations=[] if pairs else list(check_expectations(results)),
         parameters=list(tables.varied_parameters(results)),

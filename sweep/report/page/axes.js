@@ -83,7 +83,7 @@ export function axisTitle({ title }, { note }) {
 /**
  * Make the scale of a column: one cell for each name or value in `cells`, else the column's own scale with some room at
  * the ends.
- * @param {Column} column
+ * @param {Scaled & Pick<Column, "names">} column
  * @param {Float64Array | null} cells sorted values
  * @param {number} room number of ticks that fit
  * @returns {Scale}

@@ -450,14 +450,16 @@ export function pairsView(app) {
   return { root: canvas, draw };
 }
 
+/** @typedef {{ column: Column, distance: number, significant: boolean }} Ranked a parameter and its relation to failure */
+
 /**
  * Rank parameters by how strongly they are related to failure, over all rows.
- * @type {(table: Table, order: (column: Column) => Uint32Array) => { column: Column, distance: number }[]}
+ * @type {(table: Table, order: (column: Column) => Uint32Array) => Ranked[]}
  */
 export function rankParameters(table, order) {
   const side = outcomeSideOfAll(table);
   return table.columns
     .filter((column) => column.axis)
-    .map((column) => ({ column, distance: distributionDistance(column, order, side).distance }))
+    .map((column) => ({ column, ...distributionDistance(column, order, side) }))
     .sort((a, b) => b.distance - a.distance);
 }

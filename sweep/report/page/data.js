@@ -33,6 +33,36 @@ import { clamp } from "./numbers.js";
  * @property {number} [step]
  * @property {number} [bend]
  * @property {number} [middle]
+ * @property {boolean} [derived] whether the page alone has it, so that no command knows it
+ */
+
+/**
+ * A group of failures of one kind.
+ * @typedef {object} Mode
+ * @property {string} label
+ * @property {number} share of the failure probability
+ * @property {number} rows
+ * @property {string} place parameters in which it is far from plain draws, in standard deviations
+ * @property {{ kind: string, share: number }[]} causes and their shares of the mode
+ */
+
+/**
+ * The failure probability that a search for failures estimates.
+ * @typedef {object} Estimate
+ * @property {number} probability
+ * @property {number | null} low end of the 95 % interval, null if there is none
+ * @property {number | null} high
+ * @property {boolean} reliable
+ * @property {Mode[]} modes the largest first
+ */
+
+/**
+ * A region of parameters in which few draws fail, as `sweep certify` found it.
+ * @typedef {object} Region
+ * @property {string} text what is certified
+ * @property {string[]} start the two parameters that it is cut along most
+ * @property {{ x: string, y: string, lines: number[][] }[]} outlines over pairs of parameters: x and y in turn
+ * @property {boolean} section whether outlines are sections through the middle of the region
  */
 
 /**
@@ -127,6 +157,8 @@ import { clamp } from "./numbers.js";
  * @property {boolean} sure whether all rows are independent draws, so that their rate has a confidence interval
  * @property {boolean} independent whether tests may treat rows as independent
  * @property {boolean} adaptive whether a search for failures placed the rollouts, so that their shares are no rates
+ * @property {Estimate | null} estimate of a search for failures
+ * @property {Region | null} region that is certified
  * @property {Curve[]} curves parameters that vary alone; empty for other studies
  * @property {Record<string, number> | null} effects Sobol indices of a refined map, by column
  * @property {string[]} start
@@ -154,6 +186,7 @@ import { clamp } from "./numbers.js";
  * @property {boolean} drawn
  * @property {boolean} diverges
  * @property {number | null} limit
+ * @property {boolean} [derived] whether the page alone has it, so that no command knows it
  * @property {string[] | null} names by code; the values are codes
  * @property {Float64Array} values NaN if missing
  * @property {number} low

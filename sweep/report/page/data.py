@@ -29,6 +29,7 @@ from sweep.report.labels import (
     unique_labels,
 )
 from sweep.report.outcome_style import FAILURE_COLOUR, SUCCESS_COLOUR, find_style
+from sweep.report.page.opening import DerivedColumn
 from sweep.runs import refine
 from sweep.runs.results import Results
 
@@ -45,17 +46,19 @@ DENSITY_BINS, MAX_DENSITY_PAIRS = 128, 3  # of densities along an axis, and how 
 POINT_ID_DIGITS = 12  # of a point id: bytes are two of them
 
 
-def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
+def page_data(results: Results, chosen: tuple[str, ...] = (), derived: Sequence[DerivedColumn] = ()) -> dict[str, Any]:
     """Collect the data of the rows for the page's script.
 
     Args:
         results: study with its rows.
         chosen: columns that the map starts with.
+        derived: further columns, which no command knows.
 
     Returns:
         Plain values, see `About` in `data.js`.
     """
-    rows = results.rows.iloc[sample_row_indices(len(results.rows))]
+    sampled = sample_row_indices(len(results.rows))
+    rows = results.rows.iloc[sampled]
     kinds, axes = outcome_kinds_for_page(results), [*results.categorical_columns, *results.numeric_columns]
     figures = ["margin", "t_cause_s"] if "margin" in rows else []
     figures = [c for c in figures if has_several_values(rows[c])] + metrics_with_threshold_first(results)[:MAX_METRICS]
@@ -76,6 +79,12 @@ def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
         }
         for c, (about, _) in zip((*axes, *figures), coded, strict=True)
     ]
+    columns += [
+        {"key": one.key, "label": one.label, "unit": "", "path": "", "axis": False, "drawn": True, "diverges": False}
+        | {"limit": None, "derived": True, "names": one.names}
+        for one in derived
+    ]
+    words_of_rows = [split_bytes(np.where(one.codes[sampled] < 0, MISSING_CODE, one.codes[sampled])) for one in derived]
     # of a map: two listed numbers; elsewhere the script takes what matters most
     first = (
         results.listed_numeric_columns[:2]
@@ -86,7 +95,7 @@ def page_data(results: Results, chosen: tuple[str, ...] = ()) -> dict[str, Any]:
     kind = outcome_kind_indices(rows, kinds).astype(np.uint8)
     stage = 1 + pd.Index(stages).get_indexer(pd.Index(rows["stage"].astype(str)))  # 0: there is none
     ids = b"".join(bytes.fromhex(f"{one[:POINT_ID_DIGITS]:0<{POINT_ID_DIGITS}}") for one in rows["point_id"])
-    blocks = [kind.tobytes(), stage.astype(np.uint8).tobytes(), ids, *(block for _, block in coded)]
+    blocks = [kind.tobytes(), stage.astype(np.uint8).tobytes(), ids, *(block for _, block in coded), *words_of_rows]
     return {
         "name": results.name,
         "folder": str(results.folder),

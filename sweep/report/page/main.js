@@ -11,6 +11,7 @@ import {
   stageView,
 } from "./charts.js";
 import { curvesView } from "./curves.js";
+import { estimateView } from "./estimate.js";
 import { clipName, sortedRows, pointId, readTable } from "./data.js";
 import { makeButton, byId, element, kindStyle, prepareCanvas, readTheme } from "./dom.js";
 import { rowsTableView } from "./table.js";
@@ -25,6 +26,7 @@ import { sidesView } from "./sides.js";
 /** @import { ScaleKind } from "./axes.js" */
 /** @import { AddressState } from "./url_state.js" */
 /** @import { Column, Kind, Table } from "./data.js" */
+/** @import { Ranked } from "./charts.js" */
 /** @import { Look, Theme } from "./dom.js" */
 /** @import { State } from "./selection.js" */
 
@@ -35,7 +37,7 @@ import { sidesView } from "./sides.js";
  * @property {State} state
  * @property {AddressState} wanted state in the page's address
  * @property {() => void} remember stores the present view in the address
- * @property {{ column: Column, distance: number }[]} ranked parameters by how strongly they are related to failure
+ * @property {Ranked[]} ranked parameters by how strongly they are related to failure
  * @property {() => Theme} theme
  * @property {() => Look[]} looks of kinds
  * @property {(column: Column) => Uint32Array} order rows by value
@@ -76,7 +78,7 @@ async function startPage() {
   document.documentElement.classList.add("live");
   const watch = table.rows < 3 || table.columns.length < 2; // nothing to map: only the replay is shown
   document.documentElement.classList.toggle("watch", watch);
-  document.documentElement.classList.toggle("alone", table.alone.length > 0);
+  document.documentElement.classList.toggle("own-figure", table.alone.length > 0 || !!about.estimate);
   byId("replay").classList.toggle("empty", !about.replays.length); // before views take their widths
   const state = makeState(table);
   /** @type {Map<Column, Uint32Array>} */
@@ -197,6 +199,7 @@ async function startPage() {
   if (!watch)
     views.push(
       ...(table.alone.length ? [curvesView(app)] : []),
+      ...(about.estimate ? [estimateView(app)] : []),
       mapView(app),
       ...(table.sides ? [sidesView(app, table.sides)] : []),
       parallelView(app),
@@ -208,6 +211,10 @@ async function startPage() {
       rowsTableView(app),
     );
   chips();
+  if (!watch) {
+    describeWhatMatters(app);
+    fitFirstFigure();
+  }
   views[0]?.draw();
   performance.mark("map");
   const player = makePlayer(app);
@@ -217,6 +224,7 @@ async function startPage() {
   const again = () => {
     theme = readTheme();
     looks = about.kinds.map((/** @type {Kind} */ kind) => kindStyle(kind, theme));
+    if (!watch) fitFirstFigure();
     for (const view of views) view.resized?.();
     chips();
     app.redraw();
@@ -236,6 +244,30 @@ async function startPage() {
 }
 
 /**
+ * Say in a sentence which parameters matter most, above the map of draws.
+ * @param {App} app
+ */
+function describeWhatMatters({ table, ranked }) {
+  const { about } = table;
+  const drawn = table.columns.filter((column) => column.axis && column.drawn).length;
+  const told = ranked.filter(({ distance }) => distance > 0);
+  if (drawn < 2 || about.region || about.start.length || about.adaptive || !told.length) return;
+  const words = told.slice(0, 2).map(({ column, distance, significant }) => {
+    const chance = significant || !about.independent ? "" : ", which may be chance";
+    return `${column.label} (${distance.toFixed(2)} of 1${chance})`;
+  });
+  const text = `Successes and failures differ most in ${words.join(", then in ")}.`;
+  document.querySelector("#map h2")?.after(element("p", { class: "answer" }, text));
+}
+
+/** Tell the style sheet where the first figure begins, so that it fits on the first screen. */
+function fitFirstFigure() {
+  const first = document.querySelector("#curves, #estimate-chart") ?? byId("map-base");
+  const top = first.getBoundingClientRect().top + scrollY;
+  document.documentElement.style.setProperty("--first-top", `${Math.round(top)}px`);
+}
+
+/**
  * Add buttons that copy the filters as a condition and save the filtered rows.
  * @param {App} app
  */
@@ -244,7 +276,9 @@ function addExportButtons(app) {
   byId("copy").addEventListener("click", async () => {
     const condition = formatCondition(table, state);
     const text = condition ? `--where '${condition}'` : "";
-    byId("copied").textContent = text || "no filter";
+    const left = [...state.ranges.keys()].filter((key) => table.named.get(key)?.derived);
+    byId("copied").textContent =
+      (text || "no filter") + (left.length ? ` (without ${left.join(", ")}: only this page has it)` : "");
     await navigator.clipboard?.writeText(text).catch(() => {}); // without permission the user can copy the text by hand
   });
   byId("csv").addEventListener("click", () => download(new Blob([formatCsv(app)], { type: "text/csv" }), "rows.csv"));

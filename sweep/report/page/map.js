@@ -26,7 +26,15 @@ import {
 } from "./map_fill.js";
 import { clamp, formatCount, packRgb, scaleColour, formatShort } from "./numbers.js";
 import { GLYPH_SIZE, rowNear, makePixels } from "./raster.js";
-import { drawContour, drawOutlines, drawRing, drawAnalyticLimits, drawZeroMargin } from "./map_overlays.js";
+import {
+  drawAnalyticLimits,
+  drawCertifiedRegion,
+  drawContour,
+  drawOutlines,
+  drawRing,
+  drawZeroMargin,
+  regionLines,
+} from "./map_overlays.js";
 import { setRange, clearFilters, isInSlice } from "./selection.js";
 
 /** @import { Box } from "./axes.js" */
@@ -152,6 +160,7 @@ export function mapView(app) {
     const [x, y] = columns();
     drawAnalyticLimits(app, sheet.pen, x, y, here, area);
     drawZeroMargin(app, sheet.pen, x, y, here, area);
+    drawCertifiedRegion(app, sheet.pen, x, y, here, area);
     const coloured = table.named.get(selects[2].value);
     if (coloured?.diverges && !x.names && !y.names) drawContour(app, sheet.pen, here, coloured, area);
     drawReplayed(sheet.pen, here, area);
@@ -203,6 +212,11 @@ export function mapView(app) {
       note.append("Rollouts of equal values stand beside each other in their cell.");
     }
     if (table.replayed.size) note.append(" Rings: rollouts with a replay of their own.");
+    const { region } = table.about;
+    if (region && regionLines(region, columns()[0].key, columns()[1].key).length) {
+      const cut = region.section ? ", cut through the middle of its other parameters" : "";
+      note.append(` Line around points: the certified region${cut}.`);
+    }
   };
 
   /**

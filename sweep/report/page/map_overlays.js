@@ -2,10 +2,11 @@
 import { zeroLines } from "./contour.js";
 import { clipName } from "./data.js";
 import { cssColour, drawLine } from "./dom.js";
+import { clamp } from "./numbers.js";
 
 /** @import { Box } from "./axes.js" */
 /** @import { PlacedRows } from "./cells.js" */
-/** @import { Column } from "./data.js" */
+/** @import { Column, Region } from "./data.js" */
 /** @import { App } from "./main.js" */
 
 const LINE = 16; // pixels from one line of text to the next
@@ -66,6 +67,40 @@ export function drawContour(app, pen, here, column, area) {
     }
   });
   pen.lineCap = "butt";
+}
+
+/**
+ * Outlines of the certified region over two columns, as points whose first number belongs to the horizontal axis.
+ * @type {(region: Region, x: string, y: string) => [number, number][][]}
+ */
+export function regionLines({ outlines }, x, y) {
+  return outlines.flatMap((one) => {
+    const turned = one.x === y && one.y === x;
+    if (!turned && (one.x !== x || one.y !== y)) return [];
+    const spot = (/** @type {number[]} */ line, /** @type {number} */ k) =>
+      /** @type {[number, number]} */ (turned ? [line[k + 1], line[k]] : [line[k], line[k + 1]]);
+    return one.lines.map((line) => Array.from({ length: line.length / 2 }, (_, k) => spot(line, 2 * k)));
+  });
+}
+
+/**
+ * Draw the outline of the certified region.
+ * @type {(app: App, pen: CanvasRenderingContext2D, x: Column, y: Column, here: PlacedRows, area: Box) => void}
+ */
+export function drawCertifiedRegion(app, pen, x, y, here, { left, top, width, height }) {
+  const { region } = app.table.about;
+  if (!region) return;
+  drawOutlinedLine(app, pen, app.theme().ink, [5, 2.4], () => {
+    for (const line of regionLines(region, x.key, y.key))
+      line.forEach(([u, v], k) => {
+        const spot = /** @type {const} */ ([
+          left + clamp(here.x.to(u), 0, 1) * width,
+          top + (1 - clamp(here.y.to(v), 0, 1)) * height,
+        ]);
+        if (k) pen.lineTo(...spot);
+        else pen.moveTo(...spot);
+      });
+  });
 }
 
 /** @typedef {{ left: number, size: number, up: number }} Label */

@@ -97,12 +97,14 @@ export function formatAddress(table, state, { x, y, colour, point, time }) {
 }
 
 /**
- * Format the filters as a condition for the commands' `--where`; empty without filters.
+ * Format the filters as a condition for the commands' `--where`, without those by columns of the page alone; empty without
+ * filters.
  * @type {(table: Table, state: State) => string}
  */
 export function formatCondition(table, state) {
   const parts = [];
   for (const [key, { low, high }] of state.ranges) {
+    if (table.named.get(key)?.derived) continue;
     const names = table.named.get(key)?.names?.filter((_, code) => code >= low && code <= high);
     if (names) parts.push(`${key} in [${names.map((name) => JSON.stringify(name)).join(", ")}]`);
     else parts.push(`${key} >= ${low}`, `${key} <= ${high}`);
