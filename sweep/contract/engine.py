@@ -45,6 +45,23 @@ class FootContacts(Protocol):
         ...
 
 
+class Push(NamedTuple):
+    """A constant force at the centre of mass of a body during a part of a traced rollout."""
+
+    body: int  # index in `Trace.model`
+    force: np.ndarray  # (3,) N, world axes
+    start: float  # s
+    end: float  # s
+
+
+class TimeSeriesGroup(NamedTuple):
+    """Time series of a trace that belong in one plot, such as the numbers of an observation term."""
+
+    title: str
+    unit: str
+    columns: Mapping[str, str]  # name of each line in the plot, by its column in `Trace.columns`
+
+
 @dataclass(frozen=True)
 class Trace:
     """Time series of one simulated rollout, made by `Engine.trace` and `Engine.traces`.
@@ -72,6 +89,8 @@ class Trace:
     torque_limit: float | None = None  # N m, if it is the same for all joints
     contacts: FootContacts | None = None  # None for models without known feet
     columns: Mapping[str, np.ndarray] = field(default_factory=dict)  # further time series (F,) by name
+    groups: tuple[TimeSeriesGroup, ...] = ()  # of these columns
+    pushes: tuple[Push, ...] = ()  # of the scenario
 
 
 class MissingTrace(NamedTuple):

@@ -10,8 +10,9 @@ import numpy as np
 from jaxtyping import Array
 
 from sweep.backends import devices, program_cache
-from sweep.contract.engine import Metrics, MissingTrace, SideMaker, Trace, count_substeps
+from sweep.contract.engine import Metrics, MissingTrace, Push, SideMaker, Trace, count_substeps
 from sweep.contract.engine_settings import EngineSettings
+from sweep.contract.trace_frames import base_body_id
 from sweep.controllers.layers import Command, ForceFeedforward
 from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import TrackerState
@@ -168,6 +169,19 @@ def require_trace(trace: Trace | MissingTrace) -> Trace:
     return trace
 
 
+def list_pushes(execution: Any, model: Any) -> tuple[Push, ...]:
+    """List the push on the base of a rollout, if there is one.
+
+    Args:
+        execution: faults of the rollout, see `ExecutionFaults`.
+        model: its MuJoCo model.
+    """
+    angle, length = float(execution.push_direction), float(execution.push_duration)
+    force = float(execution.push_impulse) / length * np.array([np.cos(angle), np.sin(angle), 0.0])
+    start = float(execution.push_time)
+    return (Push(base_body_id(model), force, start, start + length),) if force.any() else ()
+
+
 def to_traces(
     cases: tuple[Case, Case],
     slots: np.ndarray,
@@ -220,6 +234,7 @@ def to_traces(
                 metrics=row,
                 torque_limit=float(np.max(world.drive.torque_limit)),
                 contacts=SurfaceContacts(),
+                pushes=list_pushes(world.execution, model),
                 **kept,  # pyright: ignore[reportArgumentType]
             )
         )

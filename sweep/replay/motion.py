@@ -1,9 +1,9 @@
 """Encoding of a rollout's motion for the HTML page: bodies and geoms once, states as compressed text.
 
 `page/kinematics.js` reads both. The states are a stream of F frames with these columns: MuJoCo's `qpos`, the forces of
-the feet, the stage, the torques of the joints, the margin and the index of its limit in `limits`, and the share of
-friction that each foot uses. All are whole numbers. A column is stored as differences from frame to frame, first all
-low bytes, then all high bytes, which deflates to a third. Only `qpos` has high bytes.
+the feet, the stage, the torques of the joints, the margin and the index of its limit in `limits`, the share of
+friction that each foot uses, and the lines of `signals`. All are whole numbers. A column is stored as differences from
+frame to frame, first all low bytes, then all high bytes, which deflates to a third. Only `qpos` has high bytes.
 """
 
 from typing import Any
@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from sweep.contract.engine import Trace, hinge_and_slide_joints
-from sweep.contract.trace_frames import base_body_id, count_finite_frames
+from sweep.contract.trace_frames import base_body_id, count_finite_frames, joint_names
 from sweep.core.files import decode_text, encode_text
 from sweep.replay.height_fields import sample_height_field
 from sweep.replay.hulls import geom_hull
@@ -26,6 +26,7 @@ INT8, INT16 = 2**7 - 1, 2**15 - 1  # largest values
 FORCE_LEVELS = 50  # integer of the largest force
 MARGIN_LEVELS = 100  # integer of a margin of 1; margins are clipped at -1
 FRICTION_LEVELS = 20  # integer of a foot that uses all friction
+SIGNAL_LEVELS = 120  # integer of the largest value of a further column, and negative of the smallest
 DECIMALS = 4  # decimals of lengths (m) and directions of bodies and geoms
 Kind = mujoco.mjtGeom
 HIDDEN_GEOMS = (Kind.mjGEOM_SDF,)  # geoms that the page cannot draw
@@ -45,7 +46,8 @@ def encode_motion(trace: Trace) -> dict[str, Any]:
         `states`, the encoded stream in base64, at most `MAX_CHARACTERS`, for which frames are dropped if necessary;
         `frames`, their number; `step` (s), the time between frames, and of the first one; and the units of the whole
         numbers: `scales` (nq,) for `qpos`, `force_scale` (N), `torque_scale` (N m), `margin_scale`, `friction_scale`.
-            `limits` are the names of the limits to which margins belong; `torque_limit` is in N m.
+            `limits` are the names of the limits to which margins belong; `torque_limit` is in N m. `signals` are the
+            trace's groups of columns, see `describe_signals`, and `pushes` the pushes, see `describe_pushes`.
     """
     frames = count_finite_frames(trace)
     qpos = np.asarray(trace.qpos[:frames], float)
@@ -64,6 +66,13 @@ def encode_motion(trace: Trace) -> dict[str, Any]:
     if trace.contacts:
         share = np.nan_to_num(trace.contacts.friction_share(trace)[:frames])
         small.append(np.round(FRICTION_LEVELS * share).clip(0, INT8))
+    signals = describe_signals(trace, frames)
+    for group in signals:
+        lines = zip(group["columns"], group["middles"], group["steps"], strict=True)
+        small += [
+            np.round((_finite_column(trace, name, frames) - middle) / step).clip(-INT8, INT8)
+            for name, middle, step in lines
+        ]
     whole = {
         "step": float(trace.time[0]),
         "frames": frames,
@@ -74,6 +83,8 @@ def encode_motion(trace: Trace) -> dict[str, Any]:
         "margin_scale": 1 / MARGIN_LEVELS,
         "friction_scale": 1 / FRICTION_LEVELS,
         "limits": limits,
+        "signals": signals,
+        "pushes": describe_pushes(trace),
         "states": encode_states(np.round(qpos / scales).astype(np.int16), np.column_stack(small).astype(np.int8)),
     }
     kept, every = whole, 1
@@ -81,6 +92,52 @@ def encode_motion(trace: Trace) -> dict[str, Any]:
         every += 1
         kept = thin_motion(whole, every)
     return kept
+
+
+def describe_signals(trace: Trace, frames: int) -> list[dict[str, Any]]:
+    """Describe the groups of further columns of a trace, and how their values become whole numbers.
+
+    Args:
+        trace: The rollout.
+        frames: Number of its frames.
+
+    Returns:
+        For each group its `title` with the unit, and for each line the column in `columns`, its name in `names`, the
+        value of 0 in `middles` and of a step in `steps`.
+    """
+    signals = []
+    for group in trace.groups:
+        values = [_finite_column(trace, name, frames) for name in group.columns]
+        ends = [(float(one.min()), float(one.max())) for one in values]
+        signals.append(
+            {
+                "title": f"{group.title} [{group.unit}]" if group.unit else group.title,
+                "columns": list(group.columns),
+                "names": list(group.columns.values()),
+                "middles": [float(f"{(low + high) / 2:.6g}") for low, high in ends],
+                "steps": [float(f"{max((high - low) / 2 / SIGNAL_LEVELS, 1e-9):.6g}") for low, high in ends],
+            }
+        )
+    return signals
+
+
+def _finite_column(trace: Trace, name: str, frames: int) -> np.ndarray:
+    return np.nan_to_num(np.asarray(trace.columns[name][:frames], float), posinf=0.0, neginf=0.0)
+
+
+def describe_pushes(trace: Trace) -> list[dict[str, Any]]:
+    """Describe the pushes of a trace: body, its centre of mass in its own axes (m), force (N), start and end (s)."""
+    return [
+        {
+            "body": push.body,
+            "point": round_values(trace.model.body_ipos[push.body]),
+            "force": round_values(push.force),
+            "start": float(push.start),
+            "end": float(push.end),
+        }
+        for push in trace.pushes
+        if np.any(push.force)
+    ]
 
 
 def thin_motion(motion: dict[str, Any], every: int) -> dict[str, Any]:
@@ -156,7 +213,8 @@ def describe_bodies(model: mujoco.MjModel, legs: int, way: np.ndarray | None = N
         `bodies`: index of the parent, position and quaternion in it, and joints, see `describe_joint`. `geoms`: body,
         shape, size (of a mesh: vertices and faces; of a height field: see `describe_height_field`), position,
         quaternion, colour, and whether it is the robot's.
-        `feet`: body and position of each foot. `hinges`: addresses of the `hinge_and_slide_joints` in `qpos`.
+        `feet`: body and position of each foot. `hinges`: addresses of the `hinge_and_slide_joints` in `qpos`, and
+        `hinge_names` their names.
     """
     root = model.body_rootid[base_body_id(model)]
     drawn = [g for g in range(model.ngeom) if model.geom_group[g] < VISIBLE_GROUPS and model.geom_rgba[g, 3] > 0]
@@ -187,6 +245,7 @@ def describe_bodies(model: mujoco.MjModel, legs: int, way: np.ndarray | None = N
         ],
         "feet": [[int(site.bodyid[0]), *round_values(site.pos)] for site in feet],
         "hinges": model.jnt_qposadr[hinge_and_slide_joints(model)].tolist(),
+        "hinge_names": joint_names(model),
     }
 
 

@@ -25,6 +25,7 @@ REPLAYS_FOLDER = "replays"  # folder beside the study's parts
 NUMBER_TYPES = int | float
 REPLAY_KEYS = {"states": str, "frames": int, "step": NUMBER_TYPES, "scales": list, "force_scale": NUMBER_TYPES,
                "stages": list, "bodies": dict, "equal": int, "of": int, "why": str}  # of a replay file  # fmt: skip
+LATER_KEYS = ("signals", "pushes")  # lists of a replay file, which earlier versions did not write
 STATES_PATTERN, MAX_FRAMES = re.compile("[A-Za-z0-9+/]*=*"), 1_000_000  # base64
 
 
@@ -169,6 +170,7 @@ def load_replay(file: Path) -> dict[str, Any]:
     try:
         replay = json.loads(read_bytes_limited(file))
         whole = all(isinstance(replay[name], kind) for name, kind in REPLAY_KEYS.items())
+        whole = whole and all(isinstance(replay.get(name, []), list) for name in LATER_KEYS)
         if not whole or not STATES_PATTERN.fullmatch(replay["states"]) or not 1 <= replay["frames"] <= MAX_FRAMES:
             raise ValueError
     except (ValueError, KeyError, TypeError, RecursionError):

@@ -24,6 +24,7 @@ from moved import arm, body_places, moved
 from PIL import Image
 from scipy.stats import ks_2samp
 
+from sweep.contract.engine import Push, TimeSeriesGroup
 from sweep.core.expressions import condition_mask
 from sweep.engines.contact_forces import measured_contact_forces
 from sweep.metrics.outcome import FAILURE_MEANINGS
@@ -468,6 +469,25 @@ def test_what_goes_with_a_replay_is_told_over_time(shown):
     left, top, width, height = shown.place(".history .over")
     shown.click(left + 44 + 0.5 * (width - 52), top + height / 2)
     assert shown.until("document.querySelector('#clock').textContent") == "2.50 s"
+
+
+def test_plots_over_time_are_read_and_zoomed(shown):
+    pictures = drawing(shown, "Over time")
+    assert "height of the base [m], in steps of 0.001" in pictures  # which does not change: no stairs of rounding
+    assert re.search(r">90</text>", pictures)  # the force of a foot where the cursor is
+    left, top, width, height = shown.place(".history .over")
+    shown.send("Input.dispatchMouseEvent", type="mousePressed", x=left + 44, y=top + 60, button="left", buttons=1,
+               clickCount=1, modifiers=8)  # fmt: skip
+    for kind in ("mouseMoved", "mouseReleased"):
+        shown.send("Input.dispatchMouseEvent", type=kind, x=left + 44 + 0.4 * (width - 52), y=top + 60, button="left",
+                   buttons=1, modifiers=8)  # fmt: skip
+    shown.until("/span=0.00..2.0/.test(location.hash)")
+    shown.click(left + 44 + 0.5 * (width - 52), top + height / 2)
+    assert shown.until("document.querySelector('#clock').textContent") == "1.00 s"
+    shown.run("location.reload()")
+    shown.until("!('last_' in window) && document.querySelectorAll('.history').length")
+    shown.run("document.querySelector('#histories-all').click()")
+    shown.until("!location.hash.includes('span')")
 
 
 def test_a_second_replay_lies_dashed_over_the_first(shown):
@@ -1035,6 +1055,23 @@ def test_a_margin_is_read_with_the_limit_that_it_is_to(shown):
     margin, limits = by_script(shown, told, read)
     assert np.abs(margin - trace.margin.clip(-1)).max() <= 0.5 / MARGIN_LEVELS + 1e-9
     assert limits == trace.margin_of.tolist()
+
+
+def test_observations_and_pushes_are_read_as_they_were(shown):
+    trace = arm()
+    seen = {"observation_phase": np.sin(trace.time), "observation_rate_x": 100 + 0.01 * trace.time}
+    groups = (TimeSeriesGroup("phase", "", {"observation_phase": ""}),
+              TimeSeriesGroup("rate", "rad/s", {"observation_rate_x": "x"}))  # fmt: skip
+    pushes = (Push(1, np.array([0.0, 30.0, 0.0]), 1.0, 1.2), Push(1, np.zeros(3), 1.0, 1.2))
+    told = encode_motion(replace(trace, columns=seen, groups=groups, pushes=pushes))
+    read = """const motion = readMotion(told, told.bodies, await inflate(told.states));
+        const pushes = motion.pushes.map(({ body, force, start, end }) => [body, ...force, start, end]);
+        return [pushes, motion.signals.map(({ title, lines, names }) => [title, names, Array.from(lines[0])])]"""
+    found, signals = by_script(shown, {**told, "bodies": describe_bodies(trace.model, 0)}, read)
+    assert found == [[1, 0, 30, 0, 1, 1.2]]
+    assert [(title, names) for title, names, _ in signals] == [("phase", []), ("rate [rad/s]", ["x"])]
+    for (*_, values), exact in zip(signals, seen.values(), strict=True):
+        assert np.abs(values - exact).max() < np.ptp(exact) / 200
 
 
 def test_friction_is_read_as_the_share_of_what_there_is(shown):

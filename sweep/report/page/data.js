@@ -4,6 +4,7 @@ import { columnScale } from "./axes.js";
 import { clamp } from "./numbers.js";
 
 /** @import { ScaleKind } from "./axes.js" */
+/** @import { Push } from "./kinematics.js" */
 
 /**
  * @typedef {object} Kind
@@ -127,6 +128,8 @@ import { clamp } from "./numbers.js";
  * @property {number} margin_scale
  * @property {number} friction_scale scale of used friction shares, 0 if they are not stored
  * @property {string[]} limits thresholds of the margin, empty if it is not stored
+ * @property {{ title: string, names: string[], middles: number[], steps: number[] }[]} [signals] of a learned policy
+ * @property {Push[]} [pushes] missing in pages of earlier versions, as signals are
  * @property {string[]} stages
  */
 

@@ -1,151 +1,133 @@
-// Plots of a replay over time: margin, forces, friction, torques, joints, base and slip, with stages and the present time.
-import { byId, element, pointerPosition, prepareCanvas, drawLine } from "./dom.js";
-import { frameAt, addScaled, stageSpans, rotationMatrix } from "./kinematics.js";
+// Plots of a replay over time, with stages, a cursor that reads all of them, and zoom.
+import {
+  byId,
+  element,
+  fillSelect,
+  makeButton,
+  pointerPosition,
+  prepareCanvas,
+  drawLine,
+  shortenToFit,
+} from "./dom.js";
+import { frameAt, stageSpans } from "./kinematics.js";
 import { clamp, formatShort, ticks } from "./numbers.js";
 import { PANEL_MARGIN, drawPaths, drawRuledFrame, replayPaths, pointPaths, PATH_VIEWS } from "./path.js";
+import { freeJointIndex, replaySeries } from "./series.js";
 
-/** @import { Model, Motion } from "./kinematics.js" */
 /** @import { App } from "./main.js" */
 /** @import { Paths, Reel } from "./path.js" */
+/** @import { Histories } from "./series.js" */
 
-/**
- * Lines over time in one panel.
- * @typedef {object} Histories
- * @property {string} title with the unit
- * @property {Float64Array[]} lines a value for each frame; of legs in their order
- * @property {number | null} limit that the lines are held by, on both sides of zero
- * @property {string[]} [limitNames] nearest threshold in each frame
- */
+/** @typedef {{ base: HTMLCanvasElement, over: HTMLCanvasElement }} Panel */
+/** @typedef {[number, number]} Span from and to, s */
 
-const LOADED_FORCE = 1; // N, force from which a foot is in stance
-
-/**
- * Time series of a replay.
- * @type {(reel: Reel, paths: Paths) => Histories[]}
- */
-export function replaySeries({ model, motion }, paths) {
-  const { frames, coordinates, qpos, force, torque, friction } = motion;
-  const over = (/** @type {(frame: number) => number} */ value) =>
-    Float64Array.from({ length: frames }, (_, k) => value(k));
-  const legs = (/** @type {(frame: number, leg: number) => number} */ value) =>
-    model.feet.map((_, leg) => over((frame) => value(frame, leg)));
-  const free = freeJointIndex(model);
-  const tilt = (/** @type {number} */ k) => {
-    const upright = rotationMatrix(qpos.subarray(k * coordinates + free + 3, k * coordinates + free + 7))[8];
-    return (Math.acos(clamp(upright, -1, 1)) * 180) / Math.PI;
-  };
-  const pull = (/** @type {number} */ k, /** @type {number} */ leg) => {
-    const first = 3 * (k * model.feet.length + leg);
-    const [x, y, z] = force.subarray(first, first + 3);
-    return Math.hypot(x, y, z);
-  };
-  const many = model.hinges.length;
-  const kinds = model.feet.length ? ["α", "β", "γ"] : []; // of a leg's joints
-  const joints = kinds.map((name, kind) => ({
-    title: `joint ${name} [°]`,
-    lines: legs((k, leg) => (qpos[k * coordinates + model.hinges[3 * leg + kind]] * 180) / Math.PI),
-    limit: null,
-  }));
-  const torques = kinds.map((name, kind) => ({
-    title: `torque of ${name} [N·m]`,
-    lines: torque ? legs((k, leg) => torque[many * k + 3 * leg + kind]) : [],
-    limit: motion.torqueLimit,
-  }));
-  if (!kinds.length) {
-    const each = (/** @type {(frame: number, joint: number) => number} */ value) =>
-      model.hinges.map((_, joint) => over((frame) => value(frame, joint)));
-    const all = torque ? each((k, joint) => torque[many * k + joint]) : [];
-    torques.push({ title: "torque of the joints [N·m]", lines: all, limit: motion.torqueLimit });
-    joints.push({
-      title: "joints [rad]",
-      lines: each((k, joint) => qpos[k * coordinates + model.hinges[joint]]),
-      limit: null,
-    });
-  }
-  const found = [
-    {
-      title: "margin to the nearest limit",
-      lines: motion.margin ? [motion.margin] : [],
-      limit: motion.margin ? 0 : null,
-      limitNames: motion.limits,
-    },
-    { title: "force on a foot [N]", lines: legs(pull), limit: null },
-    {
-      title: "used share of a foot's available friction",
-      lines: friction ? legs((k, leg) => friction[model.feet.length * k + leg]) : [],
-      limit: 1,
-    },
-    { title: "slip of a standing foot [m]", lines: footSlips(paths.feet, pull), limit: null },
-    { title: "height of a foot [m]", lines: paths.feet.map((foot) => over((k) => foot[k][2])), limit: null },
-    ...["x of the base [m]", "y of the base [m]", "height of the base [m]"].map((title, part) => ({
-      title,
-      lines: free < 0 ? [] : [over((k) => paths.base[k][part])],
-      limit: null,
-    })),
-    { title: "tilt of the base [°]", lines: free < 0 ? [] : [over(tilt)], limit: null },
-    ...torques,
-    ...joints,
-  ];
-  return found.filter(({ lines }) => lines.length);
-}
-
-/**
- * Index of the robot's free joint among the coordinates, -1 without one.
- * @type {(model: Model) => number}
- */
-function freeJointIndex({ bodies, geoms }) {
-  let body = geoms.find(({ robot }) => robot)?.body ?? 0;
-  while (body && bodies[body].joints[0]?.length !== 1) body = bodies[body].parent;
-  return bodies[body].joints[0]?.length === 1 ? bodies[body].joints[0][0] : -1;
-}
-
-/**
- * Distance of each loaded foot from its touchdown.
- * @param {number[][][]} feet positions by leg and frame
- * @param {(frame: number, leg: number) => number} pull
- * @returns {Float64Array[]} m
- */
-function footSlips(feet, pull) {
-  return feet.map((foot, leg) => {
-    const way = new Float64Array(foot.length);
-    for (let k = 1; k < foot.length; k++) {
-      const stood = pull(k, leg) > LOADED_FORCE && pull(k - 1, leg) > LOADED_FORCE;
-      way[k] = stood ? way[k - 1] + Math.hypot(...addScaled(foot[k], foot[k - 1], -1)) : 0;
-    }
-    return way;
-  });
-}
+const MIN_STEPS = 12; // steps of the stored values that a panel is high at least
+const TOLD_STEPS = 60; // steps below which the panel names their size
+const MAX_READINGS = 6; // lines of a panel that the cursor reads one by one
+const SHORTEST_SPAN = 0.02; // share of a replay
+const NEAR_LINE = 24; // CSS pixels, farthest line that the pointer names
 
 /**
  * Panels below the replay.
  * @param {App} app
  * @param {(time: number) => void} to jumps to a time
- * @returns {{ show: (reels: (Reel | null)[], total: number) => void, draw: () => void, point: (time: number) => void }}
+ * @returns {{ show: (reels: (Reel | null)[], total: number) => void, draw: () => void, point: (time: number) => void,
+ *   span: () => Span | null }}
  */
 export function historyView(app, to) {
   const root = byId("histories");
   const box = /** @type {HTMLDetailsElement} */ (byId("histories-box"));
-  /** @type {{ base: HTMLCanvasElement, over: HTMLCanvasElement }[]} */
+  const choice = element("select", { id: "histories-group" });
+  fillSelect(
+    choice,
+    [
+      ["", "robot and policy"],
+      ["robot", "the robot"],
+      ["policy", "the policy"],
+    ],
+    "",
+  );
+  const choiceLabel = element("label", {}, "plots of ", choice);
+  /** @type {Panel[]} */
   let panels = [];
-  /** @type {{ base: HTMLCanvasElement, over: HTMLCanvasElement }[]} of paths */
+  /** @type {Panel[]} of paths */
   let maps = [];
   /** @type {{ reel: Reel, histories: Histories[], paths: Paths }[]} */
   let shown = [];
   let total = 1;
   let time = 0;
+  /** @type {Span | null} part of the time that is shown; null for all of it */
+  let span = app.wanted.span;
+  /** @type {{ panel: number, time: number, y: number } | null} place of the pointer */
+  let pointer = null;
+  /** @type {{ panel: number, from: number } | null} a range that is being chosen */
+  let chosen = null;
   /** @type {Map<HTMLCanvasElement, string>} what cursors show: where they are, and words */
   const pointed = new Map();
+  /** @type {[number, number][]} range of values of each panel */
+  let heights = [];
 
+  /** @returns {Span} */
+  const visible = () => span ?? [0, total];
+  const plotWidth = (/** @type {number} */ width) => width - PANEL_MARGIN.left - PANEL_MARGIN.right;
   const xOf = (/** @type {number} */ at, /** @type {number} */ width) =>
-    PANEL_MARGIN.left + (at / total) * (width - PANEL_MARGIN.left - PANEL_MARGIN.right);
+    PANEL_MARGIN.left + ((at - visible()[0]) / (visible()[1] - visible()[0])) * plotWidth(width);
+  const timeAt = (/** @type {PointerEvent | WheelEvent} */ event, /** @type {HTMLCanvasElement} */ canvas) => {
+    const [from, until] = visible();
+    const share = (pointerPosition(event, canvas)[0] - PANEL_MARGIN.left) / plotWidth(canvas.clientWidth);
+    return clamp(from + share * (until - from), from, until);
+  };
+
+  /** @type {(wanted: Span | null) => void} */
+  const zoomTo = (wanted) => {
+    span = wanted;
+    if (wanted) {
+      const length = clamp(wanted[1] - wanted[0], SHORTEST_SPAN * total, total);
+      const from = clamp(wanted[0], 0, total - length);
+      span = length > 0.999 * total ? null : [from, from + length];
+    }
+    whole.disabled = !span;
+    draw();
+    app.remember();
+  };
+  const zoomBy = (/** @type {number} */ factor, about = time) => {
+    const [from, until] = visible();
+    zoomTo([about + (from - about) * factor, about + (until - about) * factor]);
+  };
 
   const draw = () => {
     if (!box.open || !shown.length) return;
-    panels.forEach(({ base }, k) => drawPanel(base, k));
+    panels.forEach(({ base }, k) => isListed(k) && drawPanel(base, k));
     const paths = shown.map((one) => one.paths);
     maps.forEach(({ base }, k) => drawPaths(app, base, paths, PATH_VIEWS[k]));
     pointed.clear();
     point(time);
+  };
+
+  const isListed = (/** @type {number} */ k) => !choice.value || shown[0].histories[k].group === choice.value;
+
+  /** @type {(k: number) => Float64Array[][]} lines of a panel for each replay */
+  const linesOf = (k) =>
+    shown.map(({ histories }) => histories.find(({ title }) => title === shown[0].histories[k].title)?.lines ?? []);
+
+  /**
+   * Range of a panel's values in the visible time, no smaller than `MIN_STEPS` stored steps.
+   * @type {(k: number) => [number, number]}
+   */
+  const rangeOf = (k) => {
+    const { limit, resolution } = shown[0].histories[k];
+    let [low, high] = [Infinity, -Infinity];
+    linesOf(k).forEach((lines, number) => {
+      const { motion } = shown[number].reel;
+      const [first, last] = visible().map((at) => frameAt(motion, at));
+      for (const values of lines)
+        for (let frame = first; frame <= last; frame++)
+          [low, high] = [Math.min(low, values[frame]), Math.max(high, values[frame])];
+    });
+    if (limit !== null && Math.max(-low, high) > 0.6 * limit)
+      [low, high] = [low < 0 ? Math.min(low, -limit) : low, Math.max(high, limit)];
+    const missing = Math.max(MIN_STEPS * resolution - (high - low), high > low ? 0 : 1e-9) / 2;
+    return [low - missing, high + missing];
   };
 
   /** @type {(canvas: HTMLCanvasElement, k: number) => void} */
@@ -155,102 +137,176 @@ export function historyView(app, to) {
     const { ink, line } = app.theme();
     const colours = app.table.about.legs;
     const [top, bottom] = [PANEL_MARGIN.top, height - PANEL_MARGIN.bottom];
+    const [left, right] = [PANEL_MARGIN.left, width - PANEL_MARGIN.right];
     const [first] = shown;
     pen.fillStyle = line;
     for (const { stage, from, to } of stageSpans(first.reel.motion)) {
       pen.globalAlpha = stage % 2 ? 0.34 : 0.1;
-      const left = xOf(from, width);
-      pen.fillRect(left, top, xOf(to, width) - left, bottom - top);
+      const [start, end] = [from, to].map((at) => clamp(xOf(at, width), left, right));
+      pen.fillRect(start, top, end - start, bottom - top);
     }
     pen.globalAlpha = 1;
-    const { title, limit, limitNames } = first.histories[k];
-    const like = shown.map(({ histories }) => histories.find((other) => other.title === title)?.lines ?? []);
-    const lines = like.flat();
-    let [low, high] = [Infinity, -Infinity];
-    for (const values of lines) for (const value of values) [low, high] = [Math.min(low, value), Math.max(high, value)];
-    const reached = limit !== null && Math.max(-low, high) > 0.6 * limit;
-    if (reached) [low, high] = [low < 0 ? Math.min(low, -limit) : low, Math.max(high, limit)];
-    if (!(high > low)) [low, high] = [low - 0.5 || -0.5, high + 0.5 || 0.5];
-    const room = 0.04 * (high - low);
-    const yOf = (/** @type {number} */ value) =>
-      bottom - ((value - low + room) / (high - low + 2 * room)) * (bottom - top);
+    const { title, limit, resolution } = first.histories[k];
+    heights[k] = rangeOf(k);
+    const [low, high] = heights[k];
+    const yOf = (/** @type {number} */ value) => valueHeight(k, value, height);
     const across = ticks(low, high, 4).map((value) => ({ at: yOf(value), text: formatShort(value) }));
-    const below = ticks(0, total, width / 90).map((at) => ({ at: xOf(at, width), text: `${formatShort(at)} s` }));
-    drawRuledFrame(sheet, app.theme(), across, below, title, width / (limitNames ? 2 : 1) - PANEL_MARGIN.left);
-    if (limit !== null && reached) {
+    const below = ticks(...visible(), width / 90).map((at) => ({ at: xOf(at, width), text: `${formatShort(at)} s` }));
+    const coarse = high - low < TOLD_STEPS * resolution ? `, in steps of ${formatShort(resolution)}` : "";
+    pen.font = pen.font.replace(/\d+px/, "11px");
+    drawRuledFrame(sheet, app.theme(), across, below, shortenToFit(pen, title + coarse, right - left), right - left);
+    pen.save();
+    pen.beginPath();
+    pen.rect(left, top - 1, right - left, bottom - top + 2);
+    pen.clip();
+    if (limit !== null && Math.max(-low, high) >= limit) {
       pen.strokeStyle = ink;
       pen.setLineDash([2, 3]);
-      for (const at of low < 0 ? [limit, -limit] : [limit])
-        drawLine(pen, PANEL_MARGIN.left, yOf(at), width - PANEL_MARGIN.right, yOf(at));
+      for (const at of low < 0 ? [limit, -limit] : [limit]) drawLine(pen, left, yOf(at), right, yOf(at));
     }
-    shown.forEach(({ reel }, number) => {
-      const own = like[number];
+    linesOf(k).forEach((own, number) => {
+      const { motion } = shown[number].reel;
       pen.setLineDash(number ? [4, 3] : []);
       own.forEach((values, leg) => {
         pen.strokeStyle = own.length > 1 ? colours[leg % colours.length] : ink;
         pen.lineWidth = 1.2;
         pen.beginPath();
-        values.forEach((value, frame) => pen.lineTo(xOf((frame + 1) * reel.motion.step, width), yOf(value)));
+        values.forEach((value, frame) => pen.lineTo(xOf((frame + 1) * motion.step, width), yOf(value)));
         pen.stroke();
       });
     });
+    pen.restore();
     pen.setLineDash([]);
   };
 
+  /** @type {(k: number, value: number, height: number) => number} */
+  const valueHeight = (k, value, height) => {
+    const [low, high] = heights[k] ?? rangeOf(k);
+    const room = 0.04 * (high - low);
+    const bottom = height - PANEL_MARGIN.bottom;
+    return bottom - ((value - low + room) / (high - low + 2 * room)) * (bottom - PANEL_MARGIN.top);
+  };
+
+  /**
+   * What the cursor reads in a panel: text and colour of each part.
+   * @type {(k: number, at: number, height: number) => [string, string][]}
+   */
+  const readings = (k, at, height) => {
+    const [{ reel, histories }] = shown;
+    const { limitNames, lines, names, resolution } = histories[k];
+    const { ink } = app.theme();
+    const colours = app.table.about.legs;
+    const frame = frameAt(reel.motion, at);
+    const values = lines.map((line) => line[frame]);
+    const readable = (/** @type {number} */ value) =>
+      formatShort(Number((Math.round(value / resolution) * resolution).toPrecision(3)));
+    const colourOf = (/** @type {number} */ line) => (lines.length > 1 ? colours[line % colours.length] : ink);
+    if (limitNames) return [[`${limitNames[frame]} ${formatShort(values[0])}`, ink]];
+    if (pointer?.panel === k && names.length) {
+      const away = values.map((value) => Math.abs(valueHeight(k, value, height) - (pointer?.y ?? 0)));
+      const near = away.indexOf(Math.min(...away));
+      if (away[near] < NEAR_LINE) return [[`${names[near]} ${readable(values[near])}`, colourOf(near)]];
+    }
+    if (values.length > MAX_READINGS)
+      return [[`${readable(Math.min(...values))} to ${readable(Math.max(...values))}`, ink]];
+    return values.map((value, line) => [readable(value), colourOf(line)]);
+  };
   /** @param {number} now */
   const point = (now) => {
     time = now;
     if (!box.open || !shown.length) return;
+    const [from, until] = visible();
+    if (span && !chosen && (now < from || now > until)) return zoomTo([now - 0.1 * (until - from), until + now - from]);
     const paths = shown.map((one) => one.paths);
     maps.forEach(({ over }, k) => {
       if (app.visible(over)) pointPaths(app, over, paths, PATH_VIEWS[k], shown[0].reel.motion, time);
     });
-    panels.forEach(({ over }, k) => {
-      if (!app.visible(over)) return;
-      const [{ reel, histories }] = shown;
-      const { limitNames, lines } = histories[k];
-      const frame = frameAt(reel.motion, time);
-      const words = limitNames ? `${limitNames[frame]} ${formatShort(lines[0][frame])}` : "";
-      const x = Math.round(xOf(time, over.clientWidth));
-      if (pointed.get(over) === `${x} ${words}`) return; // most frames of a long replay move it by less than a pixel
-      pointed.set(over, `${x} ${words}`);
-      const { pen, width, height } = prepareCanvas(over);
-      pen.fillStyle = app.theme().ink;
-      pen.fillRect(x - 0.75, PANEL_MARGIN.top, 1.5, height - PANEL_MARGIN.top - PANEL_MARGIN.bottom);
-      pen.font = pen.font.replace(/\d+px/, "11px");
-      pen.textAlign = "right";
-      pen.textBaseline = "top";
-      pen.fillText(words, width - PANEL_MARGIN.right, 3, width / 2);
+    panels.forEach(({ over }, k) => isListed(k) && app.visible(over) && pointPanel(over, k));
+  };
+
+  /** @type {(canvas: HTMLCanvasElement, k: number) => void} */
+  const pointPanel = (canvas, k) => {
+    const at = pointer?.time ?? time;
+    const read = readings(k, at, canvas.clientHeight);
+    const [x, hovered] = [time, at].map((one) => Math.round(xOf(one, canvas.clientWidth)));
+    const start = chosen?.panel === k ? Math.round(xOf(chosen.from, canvas.clientWidth)) : hovered;
+    const state = [x, hovered, start, ...read].join();
+    if (pointed.get(canvas) === state) return; // most frames of a long replay move it by less than a pixel
+    pointed.set(canvas, state);
+    const { pen, width, height } = prepareCanvas(canvas);
+    const [top, length] = [PANEL_MARGIN.top, height - PANEL_MARGIN.top - PANEL_MARGIN.bottom];
+    pen.fillStyle = app.theme().accent;
+    pen.globalAlpha = 0.2;
+    pen.fillRect(Math.min(start, hovered), top, Math.abs(hovered - start), length);
+    pen.globalAlpha = 1;
+    pen.fillStyle = app.theme().ink;
+    pen.fillRect(x - 0.75, top, 1.5, length);
+    pen.fillStyle = app.theme().soft;
+    if (pointer) pen.fillRect(hovered - 0.5, top, 1, length);
+    pen.font = pen.font.replace(/\d+px/, "11px");
+    pen.textAlign = "left";
+    pen.textBaseline = "top";
+    let place = PANEL_MARGIN.left;
+    for (const [text, colour] of pointer ? [[`${at.toFixed(2)} s`, app.theme().soft], ...read] : read) {
+      const fitting = shortenToFit(pen, text, width - place);
+      pen.fillStyle = colour;
+      pen.fillText(fitting, place, 17);
+      place += pen.measureText(fitting).width + 8;
+    }
+  };
+
+  /** @type {(k: number, title: string) => Panel} */
+  const makePanel = (k, title) => {
+    const each = shown[0].reel.model.feet.length ? "leg" : "joint";
+    const label = `${title} over time, a line for each ${each}; drag to go to a time, with Shift to zoom`;
+    const base = element("canvas", { role: "img", "aria-label": label });
+    const over = element("canvas", { class: "over", "aria-hidden": "true" });
+    over.addEventListener("pointerdown", (event) => {
+      over.setPointerCapture(event.pointerId);
+      if (event.shiftKey) chosen = { panel: k, from: timeAt(event, over) };
+      else to(timeAt(event, over));
     });
+    over.addEventListener("pointermove", (event) => {
+      const at = timeAt(event, over);
+      pointer = event.pointerType === "mouse" ? { panel: k, time: at, y: pointerPosition(event, over)[1] } : null;
+      if (event.buttons && !chosen) to(at);
+      else point(time);
+    });
+    over.addEventListener("pointerup", (event) => {
+      const ends = chosen && [chosen.from, timeAt(event, over)].sort((a, b) => a - b);
+      chosen = null;
+      if (ends && ends[1] > ends[0]) zoomTo([ends[0], ends[1]]);
+    });
+    over.addEventListener("pointerleave", () => {
+      pointer = null;
+      point(time);
+    });
+    over.addEventListener("dblclick", () => zoomTo(null));
+    over.addEventListener(
+      "wheel",
+      (event) => {
+        if (!event.ctrlKey && !event.shiftKey) return; // which scrolls the page
+        event.preventDefault();
+        zoomBy(Math.exp(clamp(event.deltaY || event.deltaX, -200, 200) / 300), timeAt(event, over));
+      },
+      { passive: false },
+    );
+    return { base, over };
   };
 
   const lay = () => {
-    panels = (shown[0]?.histories ?? []).map(({ title }) => {
-      const each = shown[0].reel.model.feet.length ? "leg" : "joint";
-      const label = `${title} over time, a line for each ${each}; drag to go to a time`;
-      const base = element("canvas", { role: "img", "aria-label": label });
-      const over = element("canvas", { class: "over", "aria-hidden": "true" });
-      const scrub = (/** @type {PointerEvent} */ event) =>
-        to(
-          ((pointerPosition(event, over)[0] - PANEL_MARGIN.left) /
-            (over.clientWidth - PANEL_MARGIN.left - PANEL_MARGIN.right)) *
-            total,
-        );
-      over.addEventListener("pointerdown", (event) => {
-        over.setPointerCapture(event.pointerId);
-        scrub(event);
-      });
-      over.addEventListener("pointermove", (event) => event.buttons && scrub(event));
-      return { base, over };
-    });
+    pointer = chosen = null;
+    heights = [];
+    panels = (shown[0]?.histories ?? []).map(({ title }, k) => makePanel(k, title));
+    const hasPolicy = shown[0]?.histories.some(({ group }) => group === "policy");
+    choiceLabel.hidden = !hasPolicy;
+    if (!hasPolicy) choice.value = "";
     const moves = shown[0]?.paths.base.length;
     maps = (moves ? PATH_VIEWS : []).map(({ title }) => ({
       base: element("canvas", { role: "img", "aria-label": `${title}, of the base and each foot` }),
       over: element("canvas", { class: "over", "aria-hidden": "true" }),
     }));
-    root.replaceChildren(
-      ...[...panels, ...maps].map(({ base, over }) => element("div", { class: "history" }, base, over)),
-    );
+    list();
     byId("histories-key").replaceChildren(
       ...app.table.about.legs.slice(0, shown[0]?.reel.model.feet.length ?? 0).map((colour, leg) => {
         const swatch = element("span", { class: "leg", "aria-hidden": "true" });
@@ -259,14 +315,37 @@ export function historyView(app, to) {
       }),
     );
   };
+  /** Put the panels of the chosen group into the page. */
+  const list = () => {
+    const listed = [...panels.filter((_, k) => isListed(k)), ...(choice.value === "policy" ? [] : maps)];
+    root.replaceChildren(...listed.map(({ base, over }) => element("div", { class: "history" }, base, over)));
+  };
 
+  const nearer = { "aria-label": "zoom in, in time", title: "zoom in about the present time" };
+  const farther = { "aria-label": "zoom out, in time", title: "zoom out" };
+  const whole = makeButton({ id: "histories-all" }, () => zoomTo(null), "all of the time");
+  whole.disabled = !span;
+  const zoom = element(
+    "span",
+    { class: "plain", role: "group", "aria-label": "zoom in time" },
+    makeButton(nearer, () => zoomBy(0.5), "+"),
+    makeButton(farther, () => zoomBy(2), "−"),
+    whole,
+  );
+  root.before(element("div", { class: "controls" }, choiceLabel, zoom));
+  choice.addEventListener("change", () => {
+    list();
+    draw();
+  });
   box.addEventListener("toggle", draw);
+  window.addEventListener("scroll", () => point(time), { passive: true }); // cursors of panels that come into view
   return {
     show: (reels, length) => {
       total = length;
+      if (span && (span[0] >= total || span[1] > total * 1.001)) span = null;
       shown = reels.flatMap((reel) => {
         if (!reel) return [];
-        const paths = replayPaths(reel, freeJointIndex(reel.model));
+        const paths = replayPaths(reel, freeJointIndex(reel.model), MIN_STEPS);
         return [{ reel, histories: replaySeries(reel, paths), paths }];
       });
       lay();
@@ -274,5 +353,6 @@ export function historyView(app, to) {
     },
     draw,
     point,
+    span: () => span,
   };
 }

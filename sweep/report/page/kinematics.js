@@ -26,7 +26,17 @@
  * @property {number[]} [heights] row by row, a row for each y
  */
 
-/** @typedef {{ bodies: Body[], geoms: Geom[], feet: number[][], hinges: number[] }} Model hinges and slides */
+/**
+ * @typedef {object} Model
+ * @property {Body[]} bodies
+ * @property {Geom[]} geoms
+ * @property {number[][]} feet
+ * @property {number[]} hinges addresses of hinges and slides
+ * @property {string[]} [hinge_names] missing in replays of earlier versions
+ */
+
+/** @typedef {{ body: number, point: number[], force: number[], start: number, end: number }} Push N and s */
+/** @typedef {{ title: string, names: string[], lines: Float64Array[], resolution: number }} Signal */
 
 /**
  * @typedef {object} Motion
@@ -41,6 +51,9 @@
  * @property {Float64Array | null} margin to the nearest threshold; null in replays of earlier versions
  * @property {string[]} limits name of this threshold in each frame
  * @property {Float64Array | null} friction share of the available friction that each foot uses; null in replays of earlier versions
+ * @property {Signal[]} signals what a learned policy saw and did
+ * @property {Push[]} pushes
+ * @property {{ qpos: number[], force: number, torque: number, margin: number, friction: number }} steps in which values are stored
  */
 
 /**
@@ -81,7 +94,8 @@ export function readMotion(shown, model, buffer) {
   const margins = forces + 1 + torques; // follow the feet's forces and the stage
   const shares = margins + (shown.limits.length ? 2 : 0);
   const feet = shown.friction_scale ? model.feet.length : 0;
-  const wide = shares + feet;
+  const told = shares + feet;
+  const wide = told + signalsOf(shown).reduce((sum, { names }) => sum + names.length, 0);
   const small = readPlanes(bytes.subarray(2 * frames * coordinates), frames, wide, 1);
   const qpos = Float64Array.from(states, (value, k) => value * scales[k % coordinates]);
   const force = new Float64Array(forces * frames);
@@ -100,9 +114,30 @@ export function readMotion(shown, model, buffer) {
     margin[frame] = of[margins] * shown.margin_scale;
     limits.push(shown.limits[of[margins + 1]]);
   }
-  const torqueLimit = shown.torque_limit;
-  return { step: shown.step, frames, coordinates, qpos, force, stage, torque, torqueLimit, margin, limits, friction };
+  let column = told;
+  const signals = signalsOf(shown).map(({ title, names, middles, steps }) => {
+    const lines = names.map((_, line) => {
+      const place = column + line;
+      return Float64Array.from({ length: frames }, (_, k) => middles[line] + steps[line] * small[k * wide + place]);
+    });
+    column += names.length;
+    return { title, names: names.filter(Boolean), lines, resolution: Math.max(...steps) };
+  });
+  const steps = {
+    qpos: scales,
+    force: shown.force_scale,
+    torque: shown.torque_scale,
+    margin: shown.margin_scale,
+    friction: shown.friction_scale,
+  };
+  return {
+    ...{ step: shown.step, frames, coordinates, qpos, force, stage, torque, torqueLimit: shown.torque_limit },
+    ...{ margin, limits, friction, signals, pushes: shown.pushes ?? [], steps },
+  };
 }
+
+/** @type {(shown: Shown) => NonNullable<Shown["signals"]>} */
+const signalsOf = ({ signals }) => signals ?? [];
 
 /**
  * Time of the last frame, s.

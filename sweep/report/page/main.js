@@ -131,7 +131,7 @@ async function startPage() {
       (id) => /** @type {HTMLSelectElement} */ (byId(id)).value,
     );
     const point = state.chosen < 0 ? "" : pointId(table, state.chosen);
-    const now = { x, y, colour, point, time: player.time() };
+    const now = { x, y, colour, point, time: player.time(), span: player.span() };
     history.replaceState(null, "", formatAddress(table, state, now));
   };
   /** @type {App} */

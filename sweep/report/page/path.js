@@ -16,7 +16,7 @@ import { formatShort, ticks } from "./numbers.js";
  * @property {[number, number][]} ends ranges of x, y and z over all of these
  */
 
-export const PANEL_MARGIN = { left: 44, right: 8, top: 20, bottom: 20 }; // of a panel, CSS pixels
+export const PANEL_MARGIN = { left: 44, right: 8, top: 34, bottom: 20 }; // of a panel, CSS pixels
 export const PATH_VIEWS = /** @type {const} */ ([
   { title: "path from above: y over x [m]", up: 1 },
   { title: "path from the side: z over x [m]", up: 2 },
@@ -25,9 +25,10 @@ export const PATH_VIEWS = /** @type {const} */ ([
 /**
  * @param {Reel} reel
  * @param {number} free index of the base among the coordinates, -1 without a free joint
+ * @param {number} minSteps steps of the stored positions that the ranges span at least
  * @returns {Paths}
  */
-export function replayPaths({ model, motion }, free) {
+export function replayPaths({ model, motion }, free, minSteps) {
   const { frames, coordinates, qpos } = motion;
   /** @type {Paths} */
   const found = { base: [], feet: model.feet.map(() => []), ends: [] };
@@ -41,7 +42,11 @@ export function replayPaths({ model, motion }, free) {
     );
   }
   const places = [found.base, ...found.feet].flat();
-  found.ends = [0, 1, 2].map((part) => minAndMax(places.map((place) => place[part])));
+  found.ends = [0, 1, 2].map((part) => {
+    const [low, high] = minAndMax(places.map((place) => place[part]));
+    const missing = Math.max(0, minSteps * motion.steps.qpos[Math.max(free, 0) + part] - (high - low)) / 2;
+    return [low - missing, high + missing];
+  });
   return found;
 }
 

@@ -5,7 +5,7 @@ import { historyView } from "./history.js";
 import { endTime, frameAt, bodyPoses, readMotion, stateAt } from "./kinematics.js";
 import { clamp, formatShort } from "./numbers.js";
 import { recordVideo } from "./export.js";
-import { basePosition, drawForces, drawRobot, drawWorld, makeView } from "./scene.js";
+import { basePosition, drawForces, drawPushes, drawRobot, drawWorld, makeView } from "./scene.js";
 import { leastHiddenAngle, robotSize, viewingDistance, START_VIEW } from "./camera.js";
 import { drawStages } from "./timeline.js";
 import { formatColumnValue } from "./map.js";
@@ -27,6 +27,7 @@ import { formatColumnValue } from "./map.js";
  * @property {(row: number, at?: number | null) => void} openRow opens the replay of a row, or the nearest one, from the start or
  *   paused at a time
  * @property {() => number | null} time s, while paused
+ * @property {() => [number, number] | null} span part of the time that the plots show, s
  * @property {() => void} draw
  */
 
@@ -71,7 +72,7 @@ export function makePlayer(app) {
 
   if (!replays.length) {
     note.textContent = `No rollout has a replay yet. This adds some: sweep report ${clipName(table.about.folder)} --replays 6`;
-    return { openRow: () => {}, draw: () => {}, time: () => null };
+    return { openRow: () => {}, draw: () => {}, time: () => null, span: () => null };
   }
   const histories = historyView(app, (at) => {
     if (playing) stop();
@@ -239,6 +240,7 @@ export function makePlayer(app) {
     const frame = frameAt(motion, time);
     const forces = 3 * model.feet.length;
     drawForces(view, model, poses, motion.force.subarray(forces * frame, forces * (frame + 1)), arrow);
+    if (motion.pushes.length) drawPushes(view, motion.pushes, poses, time, 3 * robotSize(model));
     const lines = [`${time.toFixed(2)} s   ${stageOf(reel)}`, replayTitle(app, reel.number)];
     if (forces) lines[0] += `   arrows: 100 N are ${formatShort(100 * arrow.metres)} m`;
     if (ghost) lines.push(`violet: ${replayTitle(app, ghost.number)}`);
@@ -424,7 +426,7 @@ export function makePlayer(app) {
     draw();
     histories.draw();
   };
-  return { openRow, draw: redraw, time: () => (playing ? null : time) };
+  return { openRow, draw: redraw, time: () => (playing ? null : time), span: histories.span };
 }
 
 /**

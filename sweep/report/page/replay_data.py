@@ -16,7 +16,8 @@ from sweep.runs.results import Results
 MAX_THINNING = 4  # frames of which one is kept at least, where all of them do not fit
 COPIED_KEYS = ("step", "frames", "scales", "force_scale", "stages", "equal", "of", "why")  # of a replay as it is
 # of a replay that was kept before these were
-LATER_DEFAULTS = {"torque_scale": 0.0, "torque_limit": None, "margin_scale": 0.0, "limits": [], "friction_scale": 0.0}
+LATER_DEFAULTS = {"torque_scale": 0.0, "torque_limit": None, "margin_scale": 0.0, "limits": [], "friction_scale": 0.0,
+                  "signals": [], "pushes": []}  # fmt: skip
 
 
 class ShownReplay(NamedTuple):

@@ -1,11 +1,11 @@
 // 3D drawing of robot and obstacle on a canvas, by polygons and thick lines from back to front.
 import { cssColour, drawLine } from "./dom.js";
 import { dot, addScaled, rotateVector } from "./kinematics.js";
-import { clamp, mixColours } from "./numbers.js";
+import { clamp, formatShort, mixColours } from "./numbers.js";
 import { sortBackToFront, hides, isLink, makeSolid } from "./solids.js";
 
 /** @import { Rgb, Sheet, Theme } from "./dom.js" */
-/** @import { Geom, Model, Pose } from "./kinematics.js" */
+/** @import { Geom, Model, Pose, Push } from "./kinematics.js" */
 /** @import { Solid } from "./solids.js" */
 
 /** @typedef {{ azimuth: number, elevation: number, distance: number, target: number[] }} Camera angles in rad */
@@ -28,6 +28,7 @@ const GRID_STEP = 0.5; // m
 const FIELD_LINES = 0.06; // how much darker the edges of a height field's cells are
 const GROUND_RADIUS = 12; // m of ground drawn around the target
 const SUN_SHARE = 0.55; // share of a face's colour that depends on the light
+const PUSH_SHOWN = 0.15; // s before and after a push that its arrow is shown
 const GRID_LINES = gridLines(4);
 
 /**
@@ -404,40 +405,74 @@ function drawLink(view, from, to, radius, rgb) {
  * @param {{ metres: number, least: number }} arrow m per N, and the smallest force with an arrow
  */
 export function drawForces(view, model, poses, force, arrow) {
-  const { pen } = view.sheet;
   const colour = view.theme.dark ? "#ffc24d" : "#e08e00";
-  pen.lineCap = "round";
   model.feet.forEach(([body, ...place], foot) => {
     const pull = force.subarray(3 * foot, 3 * foot + 3);
     if (Math.hypot(...pull) <= arrow.least) return;
     const tail = addScaled(poses[body].pos, rotateVector(poses[body].turn, place));
-    const [a, b] = [toCameraAxes(view, tail), toCameraAxes(view, addScaled(tail, pull, arrow.metres))];
-    if (a[2] < NEAR_PLANE || b[2] < NEAR_PLANE) return;
-    const [p, q] = [project(view, a), project(view, b)];
-    const length = Math.hypot(q.x - p.x, q.y - p.y);
-    const head = Math.min(9, length / 2);
-    const angle = Math.atan2(q.y - p.y, q.x - p.x);
-    const tip = (/** @type {number} */ back, /** @type {number} */ aside) =>
-      /** @type {const} */ ([
-        q.x - back * Math.cos(angle) - aside * Math.sin(angle),
-        q.y - back * Math.sin(angle) + aside * Math.cos(angle),
-      ]);
-    for (const [stroke, wide] of /** @type {[string, number][]} */ ([
-      [cssColour(view.theme.paper, 0.8), 5],
-      [colour, 2.6],
-    ])) {
-      pen.strokeStyle = pen.fillStyle = stroke;
-      pen.lineWidth = wide;
-      drawLine(pen, p.x, p.y, ...tip(head, 0));
-      pen.beginPath();
-      pen.moveTo(q.x, q.y);
-      pen.lineTo(...tip(head, head / 2));
-      pen.lineTo(...tip(head, -head / 2));
-      pen.closePath();
-      pen.fill();
-      if (wide > 4) pen.stroke();
-    }
+    drawArrow(view, tail, addScaled(tail, pull, arrow.metres), colour, 2.6);
   });
+}
+
+/**
+ * Draw the pushes of a time as arrows that end at the centre of mass of the pushed body, with their size.
+ * @type {(view: View, pushes: Push[], poses: Pose[], time: number, longest: number) => void} `longest` arrow in m
+ */
+export function drawPushes(view, pushes, poses, time, longest) {
+  const most = Math.max(...pushes.map(({ force }) => Math.hypot(...force)));
+  const colour = view.theme.dark ? "#ff7ab0" : "#b3135f";
+  for (const { body, point, force, start, end } of pushes) {
+    if (time < start - PUSH_SHOWN || time > end + PUSH_SHOWN) continue;
+    const pose = poses[body];
+    const tip = addScaled(pose.pos, rotateVector(pose.turn, point));
+    const tail = addScaled(tip, force, -longest / most);
+    drawArrow(view, tail, tip, colour, 4);
+    const locals = [tail, tip].map((place) => toCameraAxes(view, place));
+    if (locals.some((local) => local[2] < NEAR_PLANE)) continue;
+    const { pen } = view.sheet;
+    const [from, to] = locals.map((local) => project(view, local));
+    const [x, y] = [from.x, from.y + (to.y > from.y ? -8 : 24)];
+    const size = `push ${formatShort(Number(Math.hypot(...force).toPrecision(3)))} N, ${formatShort(end - start)} s`;
+    pen.textAlign = "center";
+    pen.textBaseline = "bottom";
+    pen.lineWidth = 3;
+    pen.strokeStyle = cssColour(view.theme.paper, 0.85);
+    pen.fillStyle = colour;
+    pen.strokeText(size, x, y);
+    pen.fillText(size, x, y);
+  }
+}
+
+/** @type {(view: View, tail: number[], end: number[], colour: string, width: number) => void} */
+function drawArrow(view, tail, end, colour, width) {
+  const { pen } = view.sheet;
+  const [a, b] = [toCameraAxes(view, tail), toCameraAxes(view, end)];
+  if (a[2] < NEAR_PLANE || b[2] < NEAR_PLANE) return;
+  const [p, q] = [project(view, a), project(view, b)];
+  const length = Math.hypot(q.x - p.x, q.y - p.y);
+  const head = Math.min(3.5 * width, length / 2);
+  const angle = Math.atan2(q.y - p.y, q.x - p.x);
+  const tip = (/** @type {number} */ back, /** @type {number} */ aside) =>
+    /** @type {const} */ ([
+      q.x - back * Math.cos(angle) - aside * Math.sin(angle),
+      q.y - back * Math.sin(angle) + aside * Math.cos(angle),
+    ]);
+  pen.lineCap = "round";
+  for (const [stroke, wide] of /** @type {[string, number][]} */ ([
+    [cssColour(view.theme.paper, 0.8), width + 2.4],
+    [colour, width],
+  ])) {
+    pen.strokeStyle = pen.fillStyle = stroke;
+    pen.lineWidth = wide;
+    drawLine(pen, p.x, p.y, ...tip(head, 0));
+    pen.beginPath();
+    pen.moveTo(q.x, q.y);
+    pen.lineTo(...tip(head, head / 2));
+    pen.lineTo(...tip(head, -head / 2));
+    pen.closePath();
+    pen.fill();
+    if (wide > width) pen.stroke();
+  }
 }
 
 /**

@@ -1,4 +1,4 @@
-// Timeline below a replay: stages, time of the cause, and the present time.
+// Timeline below a replay: stages, pushes, time of the cause, and the present time.
 import { clipName } from "./data.js";
 import { prepareCanvas } from "./dom.js";
 import { stageSpans } from "./kinematics.js";
@@ -7,7 +7,7 @@ import { stageSpans } from "./kinematics.js";
 /** @import { Reel } from "./player.js" */
 
 /**
- * Draw the stages along time, and the time of the cause.
+ * Draw the stages along time, a triangle where a push begins, and the time of the cause.
  * @param {App} app
  * @param {HTMLCanvasElement} canvas
  * @param {Reel} reel
@@ -39,6 +39,14 @@ export function drawStages(app, canvas, reel, time, total) {
   if (cause !== undefined && Number.isFinite(cause)) {
     pen.fillStyle = kind?.colour ?? table.about.colours.failure;
     pen.fillRect(xOf(cause) - 1.5, 0, 3, height);
+  }
+  pen.fillStyle = soft;
+  for (const { start } of reel.motion.pushes) {
+    pen.beginPath();
+    pen.moveTo(xOf(start), height / 2);
+    pen.lineTo(xOf(start) - 4, 0);
+    pen.lineTo(xOf(start) + 4, 0);
+    pen.fill();
   }
   pen.fillStyle = ink;
   pen.fillRect(xOf(time) - 1, 0, 2, height);

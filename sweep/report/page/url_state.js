@@ -18,9 +18,10 @@ import { allowedScales, columnScale } from "./axes.js";
  * @property {LineAxis[]} lines axes of the parallel coordinates that the reader chose; empty for those of the page
  * @property {string} point first digits of a row's point id
  * @property {number | null} time s
+ * @property {[number, number] | null} span part of the time that the plots over time show, s
  */
 
-const RESERVED_KEYS = ["x", "y", "colour", "hide", "scale", "line", "point", "time"];
+const RESERVED_KEYS = ["x", "y", "colour", "hide", "scale", "line", "point", "time", "span"];
 
 /**
  * Parse the state in an address; columns and kinds that this study lacks are ignored.
@@ -52,6 +53,7 @@ export function parseAddress(table, hash) {
     return column ? [{ column, inverted: way === "inverted" }] : [];
   });
   const time = Number(params.get("time") ?? NaN);
+  const [from, until] = (params.get("span") ?? "").split("..").map(Number);
   return {
     x: params.get("x") ?? "",
     y: params.get("y") ?? "",
@@ -63,6 +65,7 @@ export function parseAddress(table, hash) {
     lines: lines.length > 1 ? lines : [],
     point: params.get("point") ?? "",
     time: Number.isFinite(time) ? time : null,
+    span: from >= 0 && until > from && until < Infinity ? [from, until] : null,
   };
 }
 
@@ -79,10 +82,10 @@ function splitAtLast(text, sign) {
  * Format the page's state as the end of its address.
  * @param {Table} table
  * @param {State} state
- * @param {{ x: string, y: string, colour: string, point: string, time: number | null }} now
+ * @param {{ x: string, y: string, colour: string, point: string, time: number | null, span: [number, number] | null }} now
  * @returns {string} with its #
  */
-export function formatAddress(table, state, { x, y, colour, point, time }) {
+export function formatAddress(table, state, { x, y, colour, point, time, span }) {
   const params = new URLSearchParams({ x, y, colour });
   for (const [key, { low, high }] of state.ranges) params.append(key, `${low}..${high}`);
   for (const [key, value] of state.fixed) params.append(key, `@${value}`);
@@ -93,6 +96,7 @@ export function formatAddress(table, state, { x, y, colour, point, time }) {
     params.append("line", `${column.key}:${inverted ? "inverted" : "upright"}`);
   if (point) params.set("point", point);
   if (time !== null) params.set("time", time.toFixed(2));
+  if (span) params.set("span", span.map((end) => end.toFixed(2)).join(".."));
   return `#${params}`;
 }
 

@@ -116,7 +116,7 @@ def start_batch(
     limits = {name: batch.expand(name) for name in ("actuator_forcerange", "jnt_range")}
     if ground:
         limits |= ground.metric_inputs(batch.expand("geom_pos")[:, terrain.find_terrain_geom(model)])
-    acting = disturbances.make_disturbances(spec.pushes, numbers, draw_uniform(streams, PUSH_KEY, len(spec.pushes)))
+    acting = make_pushes(spec, world, streams)
     acting = acting._replace(motors=motors.make_motor_limits(spec.motors, numbers, batch))
     is_random = any(np.any(numbers[path]) for path in numbers if path.startswith(f"{initial_state.RANDOM}."))
     count = initial_state.count_random_numbers(spec.model)
@@ -125,6 +125,18 @@ def start_batch(
     mass = batch.expand("body_mass").sum(axis=1)
     start = batch, qpos, qvel, sensors, policy_inputs, mass, limits, acting, written, offsets
     return BatchStart(*start, ground, spec.model)
+
+
+def make_pushes(spec: ModelSpec, world: SideValues, streams: np.ndarray) -> disturbances.Disturbances:
+    """Make the pushes and command delays that act on a batch, without motor limits.
+
+    Args:
+        spec: The model with its scenario.
+        world: Parameters of the simulated side.
+        streams: Noise stream of each rollout (n,), which the times of random pushes are drawn from.
+    """
+    uniform = draw_uniform(streams, PUSH_KEY, len(spec.pushes))
+    return disturbances.make_disturbances(spec.pushes, simulated_numbers(spec, world), uniform)
 
 
 def draw_uniform(streams: np.ndarray, purpose: int, count: int) -> np.ndarray:

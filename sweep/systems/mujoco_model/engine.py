@@ -16,7 +16,15 @@ import numpy as np
 from mujoco.batch import SimulationError
 
 from sweep.backends import devices
-from sweep.contract.engine import Metrics, SideMaker, TimeSeriesRequest, Trace, count_substeps, hinge_and_slide_joints
+from sweep.contract.engine import (
+    Metrics,
+    Push,
+    SideMaker,
+    TimeSeriesRequest,
+    Trace,
+    count_substeps,
+    hinge_and_slide_joints,
+)
 from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
 from sweep.fused.dependence import find_unread_columns
@@ -148,6 +156,8 @@ class ModelEngine:
         if not frames:  # all rollouts end before the first one
             found, frames, models = self._simulate_columns(world, belief, streams, slots, 1)
         time, *recorded = (np.stack(values) for values in zip(*frames, strict=True))
+        with self._within():
+            acting = batch.make_pushes(self._spec, world, streams)
         traces = []
         for k, slot in enumerate(slots):
             row = {name: values[slot] for name, values in found.items()}
@@ -160,7 +170,12 @@ class ModelEngine:
             judged = np.zeros(count, int), np.full(count, np.nan), np.full(count, "")
             told = dict(zip(self._spec.policy_columns, policy.T, strict=True))
             rest = none, none, none, pose, *judged, self.stages, row
-            traces.append(Trace(world, belief, model, *moved, *rest, columns=told))
+            pushed = zip(
+                self._spec.pushed_bodies, acting.force[slot], acting.start[slot], acting.end[slot], strict=True
+            )
+            pushes = tuple(Push(int(body), *push) for body, *push in pushed)
+            beside = {"columns": told, "groups": self._spec.policy_groups, "pushes": pushes}
+            traces.append(Trace(world, belief, model, *moved, *rest, **beside))
         return traces
 
     def _simulate_columns(self, *batch_of_rollouts: Any) -> BatchResult:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from sweep.contract.engine import hinge_and_slide_joints
+from sweep.contract.engine import TimeSeriesGroup, hinge_and_slide_joints
 from sweep.core.errors import InputError, require_choice
 from sweep.core.project import read_yaml
 from sweep.core.rotations import conjugate, rotate
@@ -72,13 +72,20 @@ class LearnedPolicy(NamedTuple):
     @property
     def recorded_columns(self) -> tuple[str, ...]:
         """Names of the time-series columns with the policy's observation and action."""
+        return tuple(column for group in self.recorded_groups for column in group.columns)
+
+    @property
+    def recorded_groups(self) -> tuple[TimeSeriesGroup, ...]:
+        """Time-series columns of each observation term, and of the action, which are numbers of the network."""
         found = []
         for name, terms in self.inputs.items():
             start = f"observation_{name}" if len(self.inputs) > 1 else "observation"
             for one in terms:
-                parts = self._component_names(one)
-                found += [f"{start}_{one.spec.label}{f'_{part}' if part else ''}" for part in parts]
-        return (*found, *(f"action_{joint}" for joint in self.joints))
+                head, parts = f"{start}_{one.spec.label}", self._component_names(one)
+                columns = {f"{head}_{part}" if part else head: part for part in parts}
+                title = f"{start.replace('_', ' ', 1)}: {one.spec.label.replace('_', ' ')}"
+                found.append(TimeSeriesGroup(title, one.unit if np.all(one.scale == 1) else "scaled", columns))
+        return (*found, TimeSeriesGroup("action", "", {f"action_{joint}": joint for joint in self.joints}))
 
     def _component_names(self, term: ObservationTerm) -> tuple[str, ...]:
         """Names of a term's numbers: of joints, of commands, or their index; none for a single number."""

@@ -7,6 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from sweep.contract.engine import TimeSeriesGroup
 from sweep.contract.engine_settings import EngineSettings
 from sweep.contract.system import ColumnValues, Parameter
 from sweep.core.errors import InputError, require_choice
@@ -267,6 +268,11 @@ class ModelSpec:
     def policy_columns(self) -> tuple[str, ...]:
         """Columns of a learned policy's observations and actions; none for other controllers."""
         return self.controller.fitted_policy.recorded_columns if self.controller.fitted_policy else ()
+
+    @property
+    def policy_groups(self) -> tuple[TimeSeriesGroup, ...]:
+        """The `policy_columns` by observation term, and of the action."""
+        return self.controller.fitted_policy.recorded_groups if self.controller.fitted_policy else ()
 
     def time_series_columns(
         self, qpos: np.ndarray, qvel: np.ndarray, recorded: np.ndarray | None = None
