@@ -48,7 +48,7 @@ OTHER: dict[str, dict[str, float | tuple[float, float]]] = {
     "plane": {},
     "kerb": {"obstacle.height": 0.2},
     "pole_ledge": {"obstacle.radius": (0.9, 1.2), "obstacle.height": 0.04, "obstacle.ledge_height": 0.04},
-    "corner": {"obstacle.half_angle": 0.1, "obstacle.height": 0.04},
+    "corner": {"obstacle.half_angle": 0.04, "obstacle.height": 0.04},
     "ladder": {"obstacle.mass": 0.2, "obstacle.lean": 0.02, "obstacle.rung_step": 0.02, "obstacle.ledge_height": 0.02},
     "ball": {"obstacle.radius": (0.9, 1.2), "obstacle.mass": 0.2},
     "two_balls": {"obstacle.radius": (0.9, 1.2), "obstacle.mass": 0.2},

@@ -79,6 +79,7 @@ ROBOT = ("formulas", "models", "dynamics", "controllers", "planning", "manoeuvre
 TABLE = "sweep.systems"
 # its own subcommands, which the command line finds by their files
 ROBOT_COMMANDS = (
+    "sweep.cli.plan_limits",
     "sweep.cli.plan_search",
     *(f"sweep.cli.commands.{name}" for name in ("bench", "export_model", "formula", "tune")),
 )

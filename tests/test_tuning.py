@@ -5,16 +5,20 @@ import re
 import shlex
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 import pytest
 import yaml
 
 from sweep.cli.main import main
+from sweep.cli.plan_limits import describe_separating_sizes
 from sweep.cli.plan_search import nominal_drawn_sizes, tuned_plan_content
 from sweep.config.experiment import compose
 from sweep.core.errors import InputError
+from sweep.engines.limiting_parts import describe_limiting_part
 from sweep.planning import plan_table
 from sweep.planning.plan_table import evaluate_plan, numbers_by_path
 from sweep.planning.score import (
@@ -352,6 +356,37 @@ def test_numbers_do_not_follow_a_size_that_is_nought():
     assert exp.case.obstacle.offset == 0
     assert "obstacle.gap" in (sizes := nominal_drawn_sizes(exp))
     assert "obstacle.offset" not in sizes
+
+
+@pytest.mark.parametrize(
+    ("cause", "leg", "angles", "part"),
+    [
+        ("folded", 5, [0, 2.2, -3.1], "front right leg"),
+        ("leg_crossing", 4, [0.9, 2.2, -1.2], "rear left and middle left leg"),
+        ("base_hit", 4, [0.9, 2.2, -1.2], "middle left leg"),
+        ("link_collision", 3, [0, 2.2, -1.2], "shin of the middle right leg"),  # 1.2 m beside the pole's axis
+        ("slipped", 3, [0, 2.2, -1.2], "middle left foot"),
+        ("fell", 3, [0, 2.2, -1.2], ""),
+    ],
+)
+def test_the_part_that_limits_a_plan_is_measured_from_states(cause, leg, angles, part):
+    qpos = np.array([[0, 1.2, 2, 1, 0, 0, 0, *[0, 2.2, -1.2] * 6]])
+    qpos[0, 7 + 3 * (leg - 1) : 10 + 3 * (leg - 1)] = angles
+    feet = np.zeros((1, 6, 3))
+    trace = SimpleNamespace(
+        world=compose(["scenario=pole_top"]).case, qpos=qpos, stage=np.zeros(1, int), stages=("up", "down"),
+        foot_position=feet, foot_target=feet + np.array([0, 0, 0, 0.1, 0.02, 0])[:, None],
+    )  # fmt: skip
+    assert describe_limiting_part(trace, cause, "up") == part
+    assert not describe_limiting_part(trace, cause, "down")  # which it never came to
+
+
+def test_sizes_that_separate_failures_are_named():
+    masses, radii = np.linspace(8, 12, 20), np.linspace(0.378, 0.504, 20)
+    rows = pd.DataFrame({"robot.body_mass": np.roll(masses, 9), "obstacle.radius": radii})
+    lines = describe_separating_sizes(rows[radii > 0.45], rows[radii < 0.45])
+    assert lines == ["obstacle.radius is 0.4509 to 0.504 in these, 0.378 to 0.4443 in successes"]
+    assert not describe_separating_sizes(rows[radii > 0.495], rows)
 
 
 def test_a_study_is_told_which_sizes_its_plan_was_not_searched_for(tmp_path, monkeypatch):

@@ -20,6 +20,7 @@ from sweep.analysis.stats import success_rate
 from sweep.backends import devices
 from sweep.cli.execution import RunFlags, execute_experiment
 from sweep.cli.exits import DONE, UNEXPECTED
+from sweep.cli.plan_limits import describe_limits
 from sweep.config.experiment import Experiment, compose
 from sweep.contract.system import split_side_prefix
 from sweep.core.errors import InputError
@@ -124,6 +125,7 @@ def tune_plan(args: argparse.Namespace) -> int:
         print(head[-1])
     if args.simulate:
         lines = [compare_plans(overrides, where, settings, seed) for seed in (exp.study.seed, exp.study.seed + 1)]
+        lines += describe_limits(draws_folder(where, "after", exp.study.seed + 1))
         print("\n".join(lines))
         write_atomically(where, format_plan_file(case, content, [*head, *lines]).encode())
     print(where)
@@ -226,11 +228,16 @@ def compare_plans(overrides: list[str], file: Path, settings: list[str], seed: i
     words, rates = [text for text in overrides if not text.startswith("out=")], {}
     for when, more in (("before", []), ("after", [f"plan={file}", *settings])):
         kept = [text for text in words if not (more and text.startswith("plan="))]
-        folder = file.with_suffix(".draws") / f"{when}-{seed}"
+        folder = draws_folder(file, when, seed)
         execute_experiment(compose([*kept, *more, f"study.seed={seed}", f"out={folder}"]), RunFlags())
         rates[when] = success_rate(store.read_rows(folder)["outcome"])
     before, after = (f"{found.successes} of {found.valid_count}" for found in rates.values())
     return f"simulated draws of seed {seed} that succeed: {before} before, {after} after"
+
+
+def draws_folder(file: Path, when: str, seed: int) -> Path:
+    """Return the folder of the draws of one seed that are simulated `before` or `after` a plan file was tuned."""
+    return file.with_suffix(".draws") / f"{when}-{seed}"
 
 
 def parse_margin_aim(text: str) -> MarginAim:
