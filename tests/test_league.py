@@ -1,5 +1,7 @@
 """Rankings of policies whose success rates are known, and the command on rows of a small study."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -127,8 +129,10 @@ def three(fake_engine, tmp_path, monkeypatch):
 
 
 def test_folders_are_ranked(three, capsys, tmp_path):
+    assert main(["report", "near"]) == 0
     capsys.readouterr()
-    assert main(["league", *three, "--by", "friction", "-o", "pairs.csv", "--picture", "league.png"]) == 0
+    words = ["--by", "friction", "-o", "pairs.csv", "--picture", "league.png", "--page", "league.html"]
+    assert main(["league", *three, *words]) == 0
     printed = capsys.readouterr().out
     assert "3 policies on the same 40 points (40 draws)" in printed
     rates = [(store.read_rows(tmp_path / name)["outcome"] == "success").mean() for name in three]
@@ -136,6 +140,12 @@ def test_folders_are_ranked(three, capsys, tmp_path):
     np.testing.assert_allclose(pairs["difference"], [rates[0] - rates[1], rates[0] - rates[2], rates[1] - rates[2]])
     assert list(pairs["verdict"]) == ["not decided", "near", "near"]
     assert (tmp_path / "league.png").stat().st_size > 5000
+    page = (tmp_path / "league.html").read_text()
+    assert "near is the best policy; 2 of 3 pairs are decided." in page
+    assert re.findall(r'<tr><td data-value="(\w+)">(<a href="near/report.html">)?', page) == [
+        ("near", '<a href="near/report.html">'), ("middle", ""), ("far", "")
+    ]  # fmt: skip
+    assert [float(one) for one in re.findall(r'<td data-value="([\d.]+)">[\d.]+ %</td>', page)] == rates[::-1]
 
 
 def test_a_race_simulates_only_policies_that_are_not_decided(three, capsys, tmp_path):

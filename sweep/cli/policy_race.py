@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,23 +17,20 @@ from sweep.cli.rows import read_matching_rows
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.core.expressions import find_column
-from sweep.report.league import format_race
+from sweep.report.league import CAUSE, WON, format_race
 from sweep.runs import extend, results
 from sweep.study.columns import LABEL_COLUMNS
 from sweep.study.study import identity_columns, parameter_columns
 
-WON = "won by policy {}"  # column of paired rows
 
-
-def read_league(args: argparse.Namespace, by: list[str]) -> tuple[LeagueRows, str, list[str]]:
+def read_league(args: argparse.Namespace) -> tuple[LeagueRows, str, Experiment]:
     """Read the rows of all policies that `sweep league` compares, and pair those of equal points.
 
     Args:
         args: Arguments of the command.
-        by: Names of columns whose values are conditions.
 
     Returns:
-        The outcomes, the plural of the independent unit, and the columns of the conditions.
+        The outcomes, the plural of the independent unit, and the experiment of the first policy.
 
     Raises:
         InputError: There are fewer than two policies, or their rows do not match.
@@ -40,11 +38,27 @@ def read_league(args: argparse.Namespace, by: list[str]) -> tuple[LeagueRows, st
     exp, rows, key = read_policies(args)
     paired = pair_policies(rows, key)
     league = collect_outcomes(paired, tuple(rows), exp)
-    columns = [find_column(paired, name) for name in by]
-    conditions = league.conditions.assign(**{c: bin_values(league.conditions[c], BINS_PER_AXIS) for c in columns})
     kind = sampling_units.independent_unit(exp.study)
     unit = "draws" if kind.is_even else kind.plural  # see `sampling_units.pair_units`
-    return LeagueRows(league.policies, league.success, league.unit, conditions, league.invalid), unit, columns
+    return league, unit, exp
+
+
+def bin_conditions(league: LeagueRows, by: list[str]) -> tuple[LeagueRows, list[str]]:
+    """Cut the columns whose values are conditions of a league into bins.
+
+    Args:
+        league: Outcomes of the policies.
+        by: Names of the columns.
+
+    Returns:
+        The outcomes with bins instead of values in these columns, and the columns.
+
+    Raises:
+        InputError: A name is no column.
+    """
+    columns = [find_column(league.conditions, name) for name in by]
+    bins = {column: bin_values(league.conditions[column], BINS_PER_AXIS) for column in columns}
+    return replace(league, conditions=league.conditions.assign(**bins)), columns
 
 
 def read_policies(args: argparse.Namespace) -> tuple[Experiment, dict[str, pd.DataFrame], list[str] | None]:
@@ -97,25 +111,26 @@ def needed_columns(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def pair_policies(rows: dict[str, pd.DataFrame], key: list[str] | None) -> pd.DataFrame:
-    """Return the rows of the first policy that all others have, too, with a column for the outcome of each policy.
+    """Return the rows of the first policy that all others have, too, with the outcome and cause of each policy.
 
     Args:
         rows: Rows by the name of the policy.
         key: Columns that are equal for rows of one point; None for those of `compare.pair_rows`.
 
     Returns:
-        The rows of the first policy that every other one has, with the outcome of policy k in column `WON`.format(k).
+        The rows of the first policy that every other one has, with the outcome of policy k in column `WON`.format(k),
+        and its cause in `CAUSE`.format(k).
 
     Raises:
         InputError: Rows have no partner, or several.
     """
     first, *others = rows.values()
-    joined = first.assign(**{WON.format(0): first["outcome"]})
+    joined = first.assign(**{WON.format(0): first["outcome"], CAUSE.format(0): first["cause"]})
     for number, other in enumerate(others, 1):
         pairs = compare.pair_rows(joined, other, key)
-        outcome = pairs[f"outcome{SECOND_RUN_MARK}"]
+        outcome, cause = (pairs[f"{name}{SECOND_RUN_MARK}"] for name in ("outcome", "cause"))
         kept = pairs[[c for c in pairs if not str(c).endswith(SECOND_RUN_MARK)]]
-        joined = kept.assign(**{WON.format(number): outcome})
+        joined = kept.assign(**{WON.format(number): outcome, CAUSE.format(number): cause})
     joined.attrs.update(first.attrs)
     return joined
 

@@ -20,6 +20,7 @@ from sweep.report.outcome_style import FAILURE_COLOUR, SUCCESS_COLOUR
 from sweep.report.tables import markdown_table
 
 LINE_HEIGHT_IN, MARGIN_IN = 0.2, 0.7  # of a policy in the figure, and of its axis
+WON, CAUSE = "outcome of policy {}", "cause of policy {}"  # columns of paired rows
 BETTER, OPEN, WORSE = "▲", "·", "▽"  # than the policy of the column
 
 
@@ -49,13 +50,7 @@ def format_league(
         unit: Plural of the independent unit.
         by: Columns of `league.conditions` whose values are conditions.
     """
-    sure = format_percent(level)
-    points = f"{len(league.success):,} points"
-    lines = [f"{len(league.policies)} policies on the same {points}"]
-    if league.unit is None:
-        lines[0] += ", which were chosen and not drawn: no intervals and no verdicts"
-    else:
-        lines[0] += f" ({league.unit_count:,} {unit})"
+    lines = [describe_points(league, unit)]
     lines += [
         f"{number:,} points are invalid for {name} and left out for all"
         for name, number in zip(league.policies, league.invalid, strict=True)
@@ -63,12 +58,7 @@ def format_league(
     ]
     lines += ["", markdown_table(table), ""]
     if league.unit is not None:
-        decided = int((pairs["verdict"] != NOT_DECIDED).sum())
-        lines += [
-            f"{decided} of {len(pairs)} pairs are decided. With {sure} confidence all verdicts hold together (exact "
-            "paired tests, Holm), as do all intervals of rates (Bonferroni) and of differences (max-t bootstrap)",
-            "",
-        ]
+        lines += [f"{count_decided_pairs(pairs)}. {describe_confidence(level)}", ""]
     shares = [c for c in ("difference", "low", "high") if c in pairs]
     lines.append(markdown_table(pairs.assign(**{c: [format_percent(v) for v in pairs[c]] for c in shares})))
     if by:
@@ -76,6 +66,32 @@ def format_league(
         shown = rates.assign(**{name: [format_percent(v) for v in rates[name]] for name in league.policies})
         lines += ["", f"By {', '.join(by)}:", "", markdown_table(shown)]
     return "\n".join(lines) + "\n"
+
+
+def describe_points(league: LeagueRows, unit: str) -> str:
+    """Describe on how many points policies were compared, and whether these are a random sample.
+
+    Args:
+        league: Outcomes of the policies.
+        unit: Plural of the independent unit.
+    """
+    text = f"{len(league.policies)} policies on the same {len(league.success):,} points"
+    if league.unit is None:
+        return f"{text}, which were chosen and not drawn: no intervals and no verdicts"
+    return f"{text} ({league.unit_count:,} {unit})"
+
+
+def count_decided_pairs(pairs: pd.DataFrame) -> str:
+    """State how many pairs of policies are decided, for pairs with verdicts."""
+    return f"{int((pairs['verdict'] != NOT_DECIDED).sum())} of {len(pairs)} pairs are decided"
+
+
+def describe_confidence(level: float) -> str:
+    """State which statements about a league hold together at a confidence level, and by which methods."""
+    return (
+        f"With {format_percent(level)} confidence all verdicts hold together (exact paired tests, Holm), as do all "
+        "intervals of rates (Bonferroni) and of differences (max-t bootstrap)"
+    )
 
 
 def format_race(policies: list[str], race: Race, units: list[int], unit: str, only_best: bool) -> str:

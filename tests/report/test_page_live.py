@@ -24,6 +24,7 @@ from moved import arm, body_places, moved
 from PIL import Image
 from scipy.stats import ks_2samp
 
+from sweep.cli.main import main
 from sweep.contract.engine import Push, TimeSeriesGroup
 from sweep.core.expressions import condition_mask
 from sweep.engines.contact_forces import measured_contact_forces
@@ -1098,6 +1099,25 @@ def axe(tmp_path_factory):
         source = packed.extractfile("package/axe.min.js")
         assert source
         return source.read().decode()
+
+
+def test_policies_are_sorted_and_their_maps_with_them(browser, folder, axe, tmp_path):
+    assert main(["league", str(folder), "--axis", "damping", "--page", str(tmp_path / "league.html")]) == 0
+    browser.open(tmp_path / "league.html")
+    browser.until("document.querySelectorAll('#sides canvas[role=img]').length === 3")
+    names = """[[...document.querySelectorAll('#league tbody tr')].map((one) => one.cells[0].textContent),
+        [...document.querySelectorAll('#sides .side')].sort((a, b) => a.style.order - b.style.order)
+            .map((one) => one.querySelector('canvas').ariaLabel.match(/([\\d.]+): /)[1])]"""
+    head = "document.querySelector('#league th button').click()"
+    browser.run(head)
+    one = browser.run(names)
+    browser.run(head)
+    other = browser.run(names)
+    assert sorted([one[0], other[0]]) == [["500", "514.26", "530"], ["530", "514.26", "500"]]
+    assert [one[1], other[1]] == [one[0], other[0]]
+    browser.run(f"(() => {{ {axe}; return 0 }})()")
+    assert browser.run("axe.run().then((all) => all.violations.map((one) => one.id))") == []
+    assert browser.errors == []
 
 
 @pytest.mark.parametrize(("study", "dark"), [("wide", False), ("wide", True), ("repeated", False)])

@@ -36,6 +36,9 @@ def add_arguments(parser: Arguments) -> None:
         help="with --anytime: simulate up to N draws of each policy whose pairs are not decided",
     )
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw rates and verdicts")
+    parser.add_argument(
+        "--page", type=Path, metavar="FILE.html", help="write a page with a sortable table, maps and all pairs"
+    )
     add_output(parser, "write the pairs as CSV")
 
 
@@ -53,17 +56,24 @@ def run(args: argparse.Namespace) -> int:
         if getattr(args, name) and not args.anytime:
             raise InputError(f"--{name} is for --anytime")
     if args.anytime:
-        for name in ("picture", "output", "by"):
+        for name in ("picture", "page", "output", "by"):
             if getattr(args, name):
                 raise InputError(f"--{name} is not allowed with --anytime, which only decides pairs")
         print(policy_race.race_policies(args), end="")
         return DONE
-    league, unit, by = policy_race.read_league(args, parse_names(args.by) or [])
+    read, unit, exp = policy_race.read_league(args)
+    league, by = policy_race.bin_conditions(read, parse_names(args.by) or [])
     table, pairs = report.standings_of(league, args.level)
     text = report.format_league(league, table, pairs, args.level, unit, by)
     terminal.print_markdown(text, required=("policy", "share"))
     if args.picture:
         save_figure(report.draw_league(table, pairs), args.picture)
+    if args.page:
+        from sweep.report import league_page
+
+        content = league_page.LeagueContent(read, table, pairs, args.level, unit)
+        folders = [] if args.axis else args.dirs
+        print(league_page.write_league_page(args.page, content, exp, args.dirs[0], folders))
     if args.output:
         save_output(args.output, pairs.to_csv(index=False).encode())
     return DONE

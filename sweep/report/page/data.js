@@ -134,13 +134,13 @@ import { clamp } from "./numbers.js";
  */
 
 /**
- * Outcomes of both rollouts of each pair, on a page that compares two studies.
+ * Outcomes of the same points for two studies or several policies, on a page that compares them.
  * @typedef {object} SidesFormat
  * @property {Kind[]} styles kinds of outcomes that occur in either
  * @property {string[]} names
- * @property {string[]} folders
+ * @property {string[]} folders of two studies; empty for policies
  * @property {{ success: number, valid: number }[]} counts of all rollouts
- * @property {string} block kinds of the rows, those of A before those of B
+ * @property {string} block kinds of the rows, those of a side after those of the side before
  */
 
 /** @typedef {Omit<SidesFormat, "block"> & { kinds: Uint8Array[] }} Sides */
@@ -274,7 +274,7 @@ export async function readTable(about) {
 /** @type {(format: SidesFormat, rows: number) => Promise<Sides>} */
 async function readSides({ block, ...format }, rows) {
   const bytes = new Uint8Array(await inflate(block));
-  return { ...format, kinds: [bytes.subarray(0, rows), bytes.subarray(rows)] };
+  return { ...format, kinds: format.names.map((_, side) => bytes.subarray(side * rows, (side + 1) * rows)) };
 }
 
 /**

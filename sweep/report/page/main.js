@@ -15,6 +15,7 @@ import { estimateView } from "./estimate.js";
 import { clipName, sortedRows, pointId, readTable } from "./data.js";
 import { makeButton, byId, element, kindStyle, prepareCanvas, readTheme } from "./dom.js";
 import { rowsTableView } from "./table.js";
+import { startLeague } from "./league.js";
 import { mapView, formatColumnValue } from "./map.js";
 import { formatCount, formatShort } from "./numbers.js";
 import { parallelView } from "./parallel.js";
@@ -395,4 +396,4 @@ function linkRepresentative(app) {
   }
 }
 
-await startPage();
+await (document.getElementById("league") ? startLeague() : startPage());

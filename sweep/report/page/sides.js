@@ -1,4 +1,4 @@
-// Maps of both rollouts of each pair, A beside B, on the page that compares two studies.
+// Maps of the same points for two studies, or for several policies, beside each other.
 import { axisTitle, drawFrame } from "./axes.js";
 import { placeRows } from "./cells.js";
 import { drawKindBox } from "./charts.js";
@@ -24,9 +24,10 @@ const FLIP_WIDTHS = /** @type {[number, number]} */ ([3.4, 1.5]); // of the outl
  * @typedef {object} SideMap
  * @property {App} own the page, with the outcomes of this side as kinds
  * @property {string} title
+ * @property {Uint8Array} flips
  * @property {HTMLCanvasElement} base
  * @property {HTMLCanvasElement} over
- * @property {HTMLElement} tip
+ * @property {HTMLElement} plot
  * @property {Pixels | null} pixels
  */
 
@@ -37,13 +38,13 @@ export function sidesView(app, sides) {
   /** @type {PlacedRows | null} */
   let places = null;
   let placed = ""; // columns and slice that `places` are of
-  const flips = flippedRows(sides);
-  const maps = sides.kinds.map((kind, side) => makeMap(kind, sideTitle(table, sides, side)));
-  root.replaceChildren(...maps.map(({ base, over, tip }) => element("div", { class: "plot side" }, base, over, tip)));
+  const maps = sides.kinds.map((kind, side) => makeMap(kind, sideTitle(table, sides, side), flippedRows(sides, side)));
+  const tip = element("div", { class: "tip", hidden: "" });
+  root.replaceChildren(...maps.map(({ plot }) => plot), tip);
 
-  /** @type {(kind: Uint8Array, name: string) => SideMap} */
-  function makeMap(kind, title) {
-    const label = `Map of the outcomes. ${title}. The map of pairs below has the same points and can be used by keys.`;
+  /** @type {(kind: Uint8Array, title: string, flips: Uint8Array) => SideMap} */
+  function makeMap(kind, title, flips) {
+    const label = `Map of the outcomes. ${title}.`;
     const own = {
       ...app,
       table: { ...table, kind, about: { ...table.about, kinds: sides.styles } },
@@ -51,8 +52,8 @@ export function sidesView(app, sides) {
     };
     const base = element("canvas", { role: "img", "aria-label": label });
     const over = element("canvas", { class: "over", "aria-hidden": "true" });
-    const tip = element("div", { class: "tip", hidden: "" });
-    const map = /** @type {SideMap} */ ({ own, title, base, over, tip, pixels: null });
+    const plot = element("div", { class: "plot side" }, base, over);
+    const map = /** @type {SideMap} */ ({ own, title, flips, base, over, plot, pixels: null });
     over.addEventListener("pointermove", (event) => show(map, rowAt(map, pointerPosition(event, over))));
     over.addEventListener("pointerleave", (event) => event.pointerType !== "touch" && show(map, -1));
     over.addEventListener("click", (event) => {
@@ -100,7 +101,7 @@ export function sidesView(app, sides) {
       if (here.form === "cells") paintCells(map.own, pixels, here, KIND, ratio);
       else paintMarks(map.own, pixels, here, KIND, ratio);
       pen.putImageData(pixels.image, Math.round(area.left * ratio), Math.round(area.top * ratio));
-      const shown = (/** @type {number} */ row) => flips[row] > 0 && state.mask[row] > 0;
+      const shown = (/** @type {number} */ row) => map.flips[row] > 0 && state.mask[row] > 0;
       if (here.form === "cells") {
         const edges = boundaryEdges(here, shown);
         drawOutlinedLine(app, pen, app.theme().ink, FLIP_WIDTHS, () => {
@@ -109,11 +110,15 @@ export function sidesView(app, sides) {
             pen.lineTo(area.left + c * area.width, area.top + (1 - d) * area.height);
           }
         });
-      } else
+      } else {
+        [pen.strokeStyle, pen.lineWidth] = [app.theme().ink, 0.9];
         here.rows.forEach((row, k) => {
           if (!shown(row)) return;
-          drawRing(app, pen, rowPosition(here, k, area), markSize(here) + 1.5, app.theme().ink, [2.4, 1]);
+          pen.beginPath();
+          pen.arc(...rowPosition(here, k, area), markSize(here) + 1.2, 0, 2 * Math.PI);
+          pen.stroke();
         });
+      }
       pen.fillStyle = app.theme().ink;
       pen.textAlign = "left";
       pen.textBaseline = "top";
@@ -135,13 +140,19 @@ export function sidesView(app, sides) {
   /** What the colours mean, with the number of rollouts of A and B for each. */
   const drawKey = () => {
     const entries = sides.styles.map((style, k) => {
+      const few = sides.names.length === 2;
       const swatch = element("canvas", { class: "swatch", "aria-hidden": "true" });
       const counts = sides.kinds.map((kind) => kind.reduce((sum, one) => sum + Number(one === k), 0));
       const numbers = counts.map((count, side) => `${sides.names[side]} ${formatCount(count)}`).join(", ");
       return {
         swatch,
         k,
-        entry: element("span", { title: style.meaning }, swatch, ` ${clipName(style.label)}: ${numbers}`),
+        entry: element(
+          "span",
+          { title: style.meaning },
+          swatch,
+          ` ${clipName(style.label)}${few ? `: ${numbers}` : ""}`,
+        ),
       };
     });
     byId("sides-key").replaceChildren(...entries.map(({ entry }) => entry));
@@ -182,40 +193,43 @@ export function sidesView(app, sides) {
   /** @type {(map: SideMap, row: number) => void} */
   const show = (map, row) => {
     app.point(row);
-    for (const other of maps) other.tip.hidden = row < 0 || other !== map;
+    tip.hidden = row < 0;
     const k = row < 0 || !places ? -1 : places.rows.indexOf(row);
     if (k < 0 || !places) return;
-    const { tip } = map;
+    const { plot } = map;
     tip.replaceChildren(...app.words(row, columns()));
     const [u, v] = rowPosition(places, k, boxOf(map));
-    placeTip(tip, u, v);
+    placeTip(tip, plot.offsetLeft + u, plot.offsetTop + v);
   };
 
   return { root, draw, point };
 }
 
 /**
- * Whether only one rollout of each pair succeeds, and both are valid.
- * @type {(sides: Sides) => Uint8Array}
+ * Whether a side's rollout succeeds and that of the other one fails, or the reverse. The other one of two is the other; of
+ * several it is the first.
+ * @type {(sides: Sides, side: number) => Uint8Array}
  */
-function flippedRows({ kinds: [a, b], styles }) {
-  const outcome = (/** @type {number} */ kind) => styles[kind].outcome;
-  return Uint8Array.from(a, (kind, row) => {
-    const both = [outcome(kind), outcome(b[row])];
+function flippedRows({ kinds, styles }, side) {
+  const other = kinds[side || kinds.length > 2 ? 0 : 1];
+  return Uint8Array.from(kinds[side], (kind, row) => {
+    const both = [styles[kind].outcome, styles[other[row]].outcome];
     return Number(both.includes("success") && both.includes("failure"));
   });
 }
 
 /**
- * Heading of a side's map: its name and how many of its valid rollouts succeed.
+ * Heading of a side's map: its name and how many of its valid rollouts succeed; only the share if there are many maps.
  * @type {(table: Table, sides: Sides, side: number) => string}
  */
 function sideTitle({ about }, sides, side) {
   const { success, valid } = sides.counts[side];
-  const share = valid ? ` (${((100 * success) / valid).toFixed(1)} %)` : "";
-  const folder = clipName(sides.folders[side]);
-  const rate = about.adaptive ? "" : `: ${formatCount(success)} of ${formatCount(valid)} succeed${share}`;
-  return `${sides.names[side]}, ${folder}${rate}`;
+  const share = `${((100 * success) / Math.max(1, valid)).toFixed(1)} %`;
+  const name = clipName(sides.names[side]);
+  if (sides.names.length > 2) return `${name}: ${share}`;
+  const folder = sides.folders[side] ? `, ${clipName(sides.folders[side])}` : "";
+  const rate = about.adaptive ? "" : `: ${formatCount(success)} of ${formatCount(valid)} succeed (${share})`;
+  return `${name}${folder}${rate}`;
 }
 
 /**
