@@ -1,11 +1,13 @@
 import numpy as np
+import pandas as pd
 import pytest
 from fake_engine import FakeEngine
 from small_study import one_line
 
 from sweep.analysis import compare
+from sweep.cli import certification
 from sweep.cli.main import main
-from sweep.report import figures, page
+from sweep.report import engine_agreement, figures, page
 from sweep.runs import audit, results, store
 from sweep.systems.hexapod import AUDIT_VARIANTS
 
@@ -105,6 +107,80 @@ def test_what_has_neither_a_boundary_nor_successes_is_refused(fake_engine, tmp_p
         capsys.readouterr()
         assert main(["audit", str(tmp_path), *arguments]) == 2
         one_line(capsys.readouterr().err, message)
+
+
+class EngineOfItsOwn(FakeEngine):
+    """On `native` the boundary lies at a friction that is 0.07 higher."""
+
+    def __init__(self, settings, world, belief, limits):
+        super().__init__(settings, world, belief, limits)
+        self.shift = -0.07 if settings.name == "native" else 0.0
+
+    def run(self, world, belief, streams):
+        figures = super().run(world, belief, streams)
+        friction = np.broadcast_to(world.contact.friction, (self.width,)) + self.shift
+        ratio = np.broadcast_to(belief.manoeuvre.half_step_ratio, (self.width,))
+        return figures | {"tilt_max_deg": np.where(friction < 5 * ratio, 40.0, 1.0), "slip_max_m": 0 * friction}
+
+
+DRAWN = """scenario: walk_tripod
+study:
+  replays: 0
+  design: {kind: monte_carlo, num: 160}
+  axes:
+    friction: {path: contact.friction, side: world, distribution: {kind: uniform, from: 0.05, to: 1.2}}
+    step: {path: manoeuvre.half_step_ratio, distribution: {kind: uniform, from: 0.02, to: 0.19}}
+"""
+
+
+@pytest.mark.parametrize("fake_engine", [EngineOfItsOwn], indirect=True)
+def test_rows_on_which_engines_differ_are_those_between_their_boundaries(fake_engine, tmp_path, capsys):
+    (study := tmp_path / "drawn.yaml").write_text(DRAWN)
+    tmp_path = tmp_path / "rows"
+    assert main(["run", f"study={study}", f"out={tmp_path}"]) == 0
+    before = store.read_rows(tmp_path)
+    assert main(["table", str(tmp_path), "--where", 'engines_agree == "yes"']) == 2
+    few = ["audit", str(tmp_path), "--engines", "all", "--most", "40"]
+    assert main(few) == 0
+    parts = {p: p.stat().st_mtime_ns for p in (tmp_path / "audit/engine_native/parts").iterdir()}
+    assert main(few) == 0
+    assert parts == {p: p.stat().st_mtime_ns for p in (tmp_path / "audit/engine_native/parts").iterdir()}
+    rows = store.read_rows(tmp_path)
+    pd.testing.assert_frame_equal(rows.drop(columns="engines_agree"), before)
+    assert (rows["engines_agree"] != "").sum() == 40
+    assert main(["audit", str(tmp_path), "--engines", "mjx,native"]) == 0
+    assert len(store.read_rows(tmp_path / "audit/engine_native")) == 160
+    rows = store.read_rows(tmp_path)
+    away = 5 * rows["manoeuvre.half_step_ratio"] - rows["world.contact.friction"]
+    between = (away <= 0) & (away > -0.07)
+    assert 3 < between.sum() < 30
+    assert (rows["engines_agree"] == np.where(between, "no", "yes")).all()
+    out = capsys.readouterr().out
+    assert f"all engines agree on {160 - between.sum()} of 160 rows" in out
+    (shown,) = engine_agreement.engine_figure(results.read_results(tmp_path))
+    (ax, _) = shown.draw().axes
+    assert len(ax.lines[1].get_xdata()) == between.sum()
+    assert " (" in shown.caption  # independent draws have an interval
+    assert main(["table", str(tmp_path), "--where", 'engines_agree == "no"', "--format", "csv"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 1 + between.sum()
+    agreed = ["certify", str(tmp_path), "--failures", "0.2", "--engines-agree"]
+    counted = certification.select_agreed_rows(rows)["outcome"]
+    assert ((counted == "success") == ((rows["outcome"] == "success") & ~between)).all()
+    assert main(agreed) in (0, 4)
+    assert "succeeds on all audited engines" in capsys.readouterr().out
+    for arguments, message in (
+        ([*agreed, "--rollouts", "160"], "--rollouts is not allowed with --engines-agree"),
+        ([*few[:2], "--engines", "mjx"], "the rows are by mjx; name another engine"),
+        ([*few[:2], "--engines", "bullet"], "--engines bullet is unknown"),
+        ([*few[:4], "--ways", "again"], "--ways is not allowed with --engines"),
+        ([*few[:4], "--most", "0"], "at least 1"),
+        ([*few[:2], "--most", "5"], "--most is not allowed without --engines"),
+    ):
+        assert main(arguments) == 2
+        one_line(capsys.readouterr().err, message)
+    assert main(["relabel", str(tmp_path), "tilt_max_deg<50"]) == 0  # verdicts hold for the thresholds of before
+    assert "engines_agree" not in store.read_rows(tmp_path)
+    assert main(["verify", str(tmp_path)]) == 0
 
 
 @pytest.mark.slow

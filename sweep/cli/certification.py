@@ -19,7 +19,7 @@ from sweep.config.experiment import Experiment, build_experiment
 from sweep.core.errors import InputError
 from sweep.core.files import path_inside_folder
 from sweep.report.tables import markdown_table
-from sweep.runs import certificates, extend, results, runner, store
+from sweep.runs import certificates, engine_audit, extend, results, runner, store
 from sweep.study import design_kinds
 
 MAX_PARAMETERS = 8
@@ -35,6 +35,8 @@ def certify_region(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
     """
     check_arguments(args)
     folder, rows = args.dir, store.read_rows(args.dir)
+    if args.engines_agree:
+        rows = select_agreed_rows(rows)
     exp = results.load_experiment(folder)
     names = drawn_parameter_columns(exp, rows)
     order = np.random.default_rng(0).permutation(len(rows))
@@ -51,6 +53,8 @@ def certify_region(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
         score.result(), learned, parameters_and_failures(fresh, names), args.failures, args.confidence
     )
     lines = [format_certificate(found, args.shape, names)]
+    if args.engines_agree:
+        lines.append("a row counts as a success only if it succeeds on all audited engines")
     if not learned[1].any():
         lines.append("no region can be formed: none of the rows to fit it to failed; draw from wider distributions")
     again = (
@@ -70,11 +74,35 @@ def check_arguments(args: argparse.Namespace) -> None:
     for name in ("failures", "confidence"):
         if not 0 < getattr(args, name) < 1:
             raise InputError(f"--{name} = {getattr(args, name):g} is not allowed: between 0 and 1")
+    if args.engines_agree and args.rollouts is not None:
+        raise InputError("--rollouts is not allowed with --engines-agree: fresh draws are simulated on one engine")
     if args.rollouts is not None and args.rollouts < (
         need := certify.required_failure_free_rows(args.failures, args.confidence)
     ):
         takes = f"{args.failures:g} at {format_share(args.confidence)} takes at least {need}, if none of them fails"
         raise InputError(f"--rollouts = {args.rollouts} is not allowed: {takes}")
+
+
+def select_agreed_rows(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows that were audited on all engines, as failures where the engines do not agree.
+
+    Args:
+        rows: Rows of a folder.
+
+    Returns:
+        The audited rows (m), a random choice of all.
+
+    Raises:
+        InputError: No row was audited, or a condition chose the audited rows.
+    """
+    audited = rows[engine_audit.AGREE] != "" if engine_audit.AGREE in rows else pd.Series(False, rows.index)
+    if not audited.any():
+        raise InputError("--engines-agree needs an audit on several engines: sweep audit DIR --engines all")
+    first = engine_audit.first_by_point_id(rows["point_id"], int(audited.sum()))
+    if not audited.iloc[first].all():
+        raise InputError("--engines-agree is not allowed after an audit with --where: its rows are no random choice")
+    chosen = rows[audited]
+    return chosen.assign(outcome=chosen["outcome"].where(chosen[engine_audit.AGREE] == engine_audit.YES, "invalid"))
 
 
 def drawn_parameter_columns(exp: Experiment, rows: pd.DataFrame) -> list[str]:

@@ -41,7 +41,7 @@ from sweep.core.parameters import build_by_kind, check_value
 from sweep.core.yaml_check import ambiguous_number
 from sweep.study import design_kinds, designs
 from sweep.study.clusters import Cluster
-from sweep.study.columns import LABEL_COLUMNS, PLACEMENT_COLUMNS, TIMING_COLUMNS
+from sweep.study.columns import LABEL_COLUMNS, PLACEMENT_COLUMNS, TIMING_COLUMNS, VERDICT_COLUMNS
 from sweep.study.designs import rename_on_to_side
 from sweep.study.distributions import require_known_keys
 from sweep.study.study import ScenarioSchema, Study, StudySchema, check_keep, expand_keep
@@ -258,7 +258,7 @@ def build_experiment(values: Mapping[str, Any]) -> Experiment:
         if not isinstance(said := values.get(group), Mapping) and (said or group not in kind.optional_keys):
             raise InputError(f"{group} = {said} is not allowed: `sweep list` shows the choices")
     system, settings, limits, told = kind.build_nominal(values, CLASSES_BY_KIND)
-    if taken := {*PLACEMENT_COLUMNS, *LABEL_COLUMNS, *TIMING_COLUMNS} & {*system.metric_names}:
+    if taken := {*PLACEMENT_COLUMNS, *LABEL_COLUMNS, *VERDICT_COLUMNS, *TIMING_COLUMNS} & {*system.metric_names}:
         raise InputError(f"a metric called {min(taken)} is not allowed: all rows have a column of this name")
     cluster = build_by_kind(CLASSES_BY_KIND["cluster"], values["cluster"], "cluster")
     scenario = require_known_keys("scenario", values["scenario"], _names(ScenarioSchema))

@@ -133,6 +133,20 @@ class System(Protocol):
         """Return the nominal MuJoCo model, and the positions (nq,) at which its rollouts start."""
         ...
 
+    @property
+    def engine_names(self) -> Sequence[str]:
+        """Names of all engines that may simulate the system, installed or not."""
+        ...
+
+    def select_engine(self, settings: EngineSettings, name: str) -> EngineSettings:
+        """Return the settings with which another engine simulates the same rollouts.
+
+        Args:
+            settings: Settings of the present engine.
+            name: The other engine, one of `engine_names`.
+        """
+        ...
+
     def settings_summary(self, settings: EngineSettings) -> Mapping[str, str]:
         """Summarize for readers what is simulated and with which settings, as a mapping from labels to values."""
         ...

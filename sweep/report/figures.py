@@ -17,6 +17,7 @@ from sweep.core.distinct_values import count_distinct
 from sweep.core.plot_style import COLUMN_WIDTH_IN, PAGE_WIDTH_IN, fit_ticks, legend_below, new_figure, use_whole_ticks
 from sweep.report import draws, sections, time_series_plots
 from sweep.report.cells import end_axes_at_zero
+from sweep.report.engine_agreement import engine_figure
 from sweep.report.figure import StudyFigure
 from sweep.report.labels import axis_title, axis_words
 from sweep.report.maps import draw_glyph_at, legend_cell
@@ -50,6 +51,7 @@ def list_figures(results: Results) -> Iterator[StudyFigure]:
     yield from distributions_figure(results)
     yield from time_series_plots.time_series_figure(results)
     yield from audit_figure(results)
+    yield from engine_figure(results)
 
 
 def map_figures(results: Results) -> Iterator[StudyFigure]:

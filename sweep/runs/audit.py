@@ -56,29 +56,57 @@ def run_audit(
         raise InputError(
             f"{results.folder} has nothing to audit: no neighbouring points have different outcomes, and none succeeds"
         )
-    points = results.rows.iloc[np.sort(chosen)]
-    parameters = [c for c in points if "." in str(c) and not str(c).startswith("engine.")]
-    points = points[[*parameters, "replicate", "stream", "point_id"]].reset_index(drop=True)
+    points = select_point_columns(results.rows.iloc[np.sort(chosen)])
     folder = path_inside_folder(results.folder, AUDIT_FOLDER)
     folder.mkdir(exist_ok=True)
     for name in variants or available:
         try:
-            study, table = _variant_study(exp, available[name], points, path_inside_folder(folder, name))
+            study, table = make_variant_study(exp, available[name], points, path_inside_folder(folder, name))
         except InputError as error:
             if variants:
                 raise
             if on_message:
                 on_message(f"audit: {name} is left out: {error}")
             continue
-        with store.lock_folder(study.folder):
-            runner.repair_folder(study, study.folder)
-            runner.run_job(runner.prepare_job(study, study.folder, table), progress)
+        simulate_variant(study, table, progress)
 
 
-def _variant_study(
+def simulate_variant(study: Experiment, table: pd.DataFrame, progress: runner.ProgressCallback) -> None:
+    """Simulate those points of a variant's study that its folder lacks.
+
+    Args:
+        study: Study of the variant, from `make_variant_study`.
+        table: Its points.
+        progress: Receives the rows of every finished batch.
+    """
+    with store.lock_folder(study.folder):
+        runner.repair_folder(study, study.folder)
+        runner.run_job(runner.prepare_job(study, study.folder, table), progress)
+
+
+def select_point_columns(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return the points of finished rows: parameters, except those of the engine, and what identifies a rollout."""
+    parameters = [c for c in rows if "." in str(c) and not str(c).startswith("engine.")]
+    return rows[[*parameters, "replicate", "stream", "point_id"]].reset_index(drop=True)
+
+
+def make_variant_study(
     exp: Experiment, variant: AuditVariant, points: pd.DataFrame, folder: Path
 ) -> tuple[Experiment, pd.DataFrame]:
-    """Return the study of one variant and its points. Raises `InputError` where the variant cannot simulate them."""
+    """Make the study that simulates points again in a variant.
+
+    Args:
+        exp: Experiment of the rows, with their engine settings.
+        variant: What differs.
+        points: Points, from `select_point_columns`.
+        folder: Folder of the new study.
+
+    Returns:
+        The study, and its points.
+
+    Raises:
+        InputError: The variant cannot simulate these points.
+    """
     settings = replace(variant.change(exp.settings), width=0)  # the engine chooses a width for the few rollouts
     changed = {}
     for path, change in variant.columns.items():

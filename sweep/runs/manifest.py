@@ -18,7 +18,8 @@ from sweep.core.errors import InputError
 
 MANIFEST_FILE, POINTS_FILE = "manifest.txt", "points.parquet"
 PARTS_FOLDER, HISTORIES_FOLDER, LAST_STATES_FOLDER = "parts", "histories", "last_states"
-SUBFOLDERS = (PARTS_FOLDER, HISTORIES_FOLDER, LAST_STATES_FOLDER)  # of files that the manifest may list
+VERDICTS_FOLDER = "verdicts"  # of what later commands say of rows
+SUBFOLDERS = (PARTS_FOLDER, HISTORIES_FOLDER, LAST_STATES_FOLDER, VERDICTS_FOLDER)  # of listed files
 FILE_NAME = re.compile(rf"({'|'.join(SUBFOLDERS)})/\w[\w.-]{{,200}}", re.ASCII)  # names of listed files
 MAX_NAME_LENGTH = 200  # characters of another name in messages
 DIGEST_DIGITS = 16  # digits of the digest at the start of a line

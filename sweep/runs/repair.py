@@ -83,7 +83,8 @@ def repair_files(folder: Path, study: str, labels: str) -> list[str]:
     points, planned = _read_sound_points(folder, entries), store.count_planned_rollouts(folder)
     for entry in (*manifest.select_current_parts(entries, labels), *filter(_is_recording, entries)):
         if problem := _find_problem(folder, entry, planned, points):
-            remedy = "its rollouts are simulated again" if entry.batches else "`sweep replay` shows its rollouts again"
+            again = "audit --engines" if entry.file.startswith(f"{manifest.VERDICTS_FOLDER}/") else "replay"
+            remedy = "its rollouts are simulated again" if entry.batches else f"`sweep {again}` makes it again"
             lines.append(f"{folder / entry.file} is damaged ({problem}): {remedy}")
             dropped.append(entry)
         else:

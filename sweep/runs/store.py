@@ -26,12 +26,14 @@ from sweep.runs import manifest
 from sweep.runs.manifest import PARTS_FOLDER, POINTS_FILE, SUBFOLDERS, ManifestEntry
 from sweep.runs.parquet import check_expansion, column_names, decoded_schema, read_parquet
 from sweep.runs.points_check import KEY_COLUMNS, AssignedPoints
+from sweep.study.columns import VERDICT_COLUMNS
 from sweep.study.size_limits import MAX_ROLLOUTS
 
 # reads a million rows in 2 s of CPU time; Arrow's own pool takes 8 s
 pa.set_memory_pool(pa.system_memory_pool())
 STUDY_FILE, LOG_FILE, LOCK_FILE = project.STUDY_FILE, "log.txt", ".lock"
 HISTORIES_FOLDER, LAST_STATES_FOLDER = manifest.HISTORIES_FOLDER, manifest.LAST_STATES_FOLDER
+VERDICTS_FOLDER = manifest.VERDICTS_FOLDER
 FOLDER_FORMAT = 2  # of the folder
 MAX_STUDY_FILE_BYTES = 2**24  # bytes of study.yaml
 FEW_SURPLUS_ROWS = 10_000  # rows beyond the plan that are read, so that messages can name some
@@ -272,12 +274,50 @@ def _write_listed(folder: Path, name: str, table: pa.Table, about: ManifestEntry
     return entry
 
 
+def write_verdicts(folder: Path, verdicts: pd.Series) -> None:
+    """Store verdicts on finished rows, in place of earlier ones. They hold for the folder's present thresholds.
+
+    Args:
+        folder: Folder of the study, locked by the caller.
+        verdicts: Words by `point_id`; the name of the series is that of the column, one of `VERDICT_COLUMNS`.
+
+    Raises:
+        Fault: The disk refuses the write.
+    """
+    stored = read_study(folder)
+    about = ManifestEntry("", 0, "", study=study_of_parts(folder), labels=stored["labels"])
+    table = pa.Table.from_pandas(verdicts.rename_axis("point_id").reset_index(), preserve_index=False)
+    manifest.append_entries(folder, _write_listed(folder, f"{VERDICTS_FOLDER}/{verdicts.name}", table, about))
+
+
+def read_verdicts(folder: Path) -> pd.Series | None:
+    """Return the verdicts on finished rows by `point_id`; None if there are none for the folder's present thresholds.
+
+    Args:
+        folder: Folder of the study.
+
+    Raises:
+        InputError: The file is damaged.
+    """
+    labels = read_study(folder)["labels"]
+    listed = [entry for entry in list_recordings(folder, VERDICTS_FOLDER) if entry.labels == labels]
+    if not listed:
+        return None
+    rows = to_pandas(read_table(folder, listed[-1]))
+    return rows.set_index("point_id")[VERDICT_COLUMNS[0]]
+
+
+def study_of_parts(folder: Path) -> str:
+    """Return the digest of the study that a folder's current parts name; empty without parts."""
+    return next((entry.study for entry in list_current_parts(folder)), "")
+
+
 def list_recordings(folder: Path, subfolder: str) -> list[ManifestEntry]:
     """Return the valid recordings of a subfolder; of several with one name, as after a repeated batch, the last.
 
     Args:
         folder: Folder of the study.
-        subfolder: `HISTORIES_FOLDER` or `LAST_STATES_FOLDER`.
+        subfolder: `HISTORIES_FOLDER`, `LAST_STATES_FOLDER` or `VERDICTS_FOLDER`.
 
     Raises:
         InputError: The manifest is damaged.
@@ -419,7 +459,9 @@ def iterate_parts(folder: Path, columns: Sequence[str] | None = None) -> Iterato
         InputError: There are no rows, a part is damaged, or its rows are not those of the points table.
     """
     read_study(folder)
-    wanted = None if columns is None else [*dict.fromkeys([*columns, *KEY_COLUMNS])]
+    verdicts = read_verdicts(folder) if columns is None or {*columns}.intersection(VERDICT_COLUMNS) else None
+    named = ["point_id"] if verdicts is not None else []
+    wanted = None if columns is None else [*dict.fromkeys([*columns, *named, *KEY_COLUMNS])]
     parts = list_current_parts(folder)
     if not parts:
         raise InputError(f"{folder} has no finished rollouts yet")
@@ -443,6 +485,9 @@ def iterate_parts(folder: Path, columns: Sequence[str] | None = None) -> Iterato
             table = table.filter(pa.array(np.isin(table["batch"].to_numpy(), sorted(todo))))
         todo.difference_update(entry.batches)
         parts = parts[1:]
+        if verdicts is not None:
+            own = pd.Series(table["point_id"].to_pandas()).map(verdicts).fillna("")
+            table = table.append_column(str(verdicts.name), pa.array(own, pa.string()))
         yield table
 
 
@@ -490,6 +535,8 @@ def read_column_types(folder: Path) -> pd.DataFrame:
     for k, field in enumerate(types):
         if pa.types.is_integer(field.type) and any(field.name not in schema.names for schema in schemas):
             types = types.set(k, field.with_type(pa.float64()))  # pandas has no whole number for a missing one
+    if (verdicts := read_verdicts(folder)) is not None:
+        types = types.append(pa.field(str(verdicts.name), pa.string()))
     return types.empty_table().to_pandas()
 
 

@@ -14,7 +14,9 @@ WORD_COLUMNS = (
     "stage",
     "limit",
     "margin_of",
+    "engines_agree",
 )  # further columns of words; axes may have words or numbers
+VERDICT_COLUMNS = ("engines_agree",)  # of later commands on stored rows; not all folders and rows have them
 TIMING_COLUMNS = ("wall_s",)  # differs between runs
 SPREADSHEET_FORMULA_SIGNS = "=+-@"  # signs at the start of a word that a spreadsheet computes when it opens a CSV file
 COLUMN_MEANINGS = {  # of labels and of what places a row in its study
@@ -33,10 +35,12 @@ COLUMN_MEANINGS = {  # of labels and of what places a row in its study
     "slot": "place of the row in its batch",
     "width": "number of rollouts in that batch",
     "run_id": "hash of how the row was simulated: rows are equal bit for bit only at an equal one",
+    "engines_agree": "yes or no, after `sweep audit --engines`: whether all engines give the same valid outcome",
     "wall_s": "wall time of the row's batch, divided by its rollouts",
 }
 
 
 def metric_columns(rows: "pd.DataFrame") -> list[str]:
     """Return the names of the metric columns of a table: all but parameters, identifiers, outcome labels and timing."""
-    return [c for c in rows.columns if "." not in c and c not in (*PLACEMENT_COLUMNS, *LABEL_COLUMNS, *TIMING_COLUMNS)]
+    others = (*PLACEMENT_COLUMNS, *LABEL_COLUMNS, *VERDICT_COLUMNS, *TIMING_COLUMNS)
+    return [c for c in rows.columns if "." not in c and c not in others]

@@ -27,6 +27,11 @@ def add_arguments(parser: Arguments) -> None:
     parser.add_argument(
         "--rollouts", type=int, metavar="N", help="test with N fresh draws (default: test with half of the rows)"
     )
+    parser.add_argument(
+        "--engines-agree",
+        action="store_true",
+        help="count a row as a success only if it succeeds on all engines of `sweep audit --engines`",
+    )
     add_output(parser, "write the certificate as JSON")
 
 

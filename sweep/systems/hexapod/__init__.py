@@ -164,6 +164,15 @@ class Hexapod:
         start = start_state(self.case, self.case, nominal_plan(self.case))
         return scene.compile_model(self.case), np.asarray(start.qpos, float)
 
+    @property
+    def engine_names(self) -> tuple[str, ...]:
+        """Names of the engines: this package's own, and C MuJoCo."""
+        return EngineSettings.__dataclass_fields__["name"].metadata["options"]
+
+    def select_engine(self, settings: EngineSettings, name: str) -> EngineSettings:
+        """Return the settings with which another engine simulates the same; only `native` has solid links."""
+        return replace(settings, name=name, solid=settings.solid and name == "native")
+
     def settings_summary(self, settings: EngineSettings) -> dict[str, str]:
         """Return manoeuvre, obstacle, engine, time step and precision as texts for readers of a report, by name."""
         about = {"manoeuvre": self.case.manoeuvre.kind, "obstacle": self.case.obstacle.kind, "engine": settings.name}

@@ -174,6 +174,15 @@ class MujocoModel(ModelSpec):
         at = self.keyframe_index
         return self.model, np.array(self.model.qpos0 if at < 0 else self.model.key_qpos[at])
 
+    @property
+    def engine_names(self) -> tuple[str, ...]:
+        """Names of the engines that simulate MuJoCo models."""
+        return ModelEngineSettings.__dataclass_fields__["name"].metadata["options"]
+
+    def select_engine(self, settings: EngineSettings, name: str) -> EngineSettings:
+        """Return the settings with which another engine simulates the same rollouts."""
+        return replace(settings, name=name)
+
     def settings_summary(self, settings: EngineSettings) -> dict[str, str]:
         """Return files, engine and time step as texts for readers of a report, by name."""
         listed = {path: ", ".join(names) for path, names in self.listed}
