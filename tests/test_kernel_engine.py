@@ -40,6 +40,14 @@ EYE = '<site name="eye" pos="0.02 0 -0.1" euler="20 30 40"/>'
 BAR = f'<geom type="capsule" size="0.02" fromto="-.05 0 -.2 0.09 0 -.2" mass="0.1" condim="1" {TOUCHES}/>'
 PAIRED = '<geom name="tip_{}" type="sphere" size="0.03" pos="0 0 -0.2" mass="0.1" contype="0" conaffinity="0"/>'
 TIP = '<geom {} mass="0.1" friction="0.7"/>'
+ROUND = f'<geom {{}} pos="0 0 -0.2" mass="0.1" {TOUCHES}/>'
+GROUND = "".join(  # five steps, of which a row of contacts has three; the others are of other laws
+    f'<geom type="box" size="0.05 1 0.2" pos="{0.08 * k} 0 {0.01 * (k % 3) - 0.21}" euler="0 {3 * k} 5"/>'
+    for k in range(5)
+) + (
+    '<geom type="capsule" size="0.1 0.3" pos="0.22 0.12 -0.08" euler="90 5 5" friction="0.4"/>'
+    '<geom type="sphere" size="0.1" pos="0.25 -0.12 -0.08" solref="0.03 1"/>'
+)
 SLIDE = (
     '<body pos="0 0 -.2"><joint type="slide" axis="0 0.1 1" range="-.05 .05" stiffness="300" springref="0.01"/>'
     f'<geom type="sphere" size=".03" mass=".2" {TOUCHES} solmix="2" solref="-2000 -60"/></body>'
@@ -121,6 +129,14 @@ MODELS = {
     .replace('pos="0 .1 0"', 'pos="0.02 .04 0"')
     .replace('pos="0 -.1 0"', 'pos="0 -.04 0"')
     .replace('pos=".2 .1 0"', 'pos="0.08 0 -.15"'),
+    "balls, a drum and an egg on a floor, steps, a rail and a stone": robot(
+        limbs(LEG[:2], FOOT, "cd")
+        + limbs(LEG[:2], ROUND.format('type="cylinder" size="0.04 0.03" euler="70 20 0"'), "e")
+        + limbs(LEG[:1], ROUND.format('type="ellipsoid" size="0.04 0.03 0.06" euler="10 20 0"'), "f"),
+        'cone="elliptic"',
+    )
+    .replace(TOUCHES, 'conaffinity="0" contype="0"', 1)
+    .replace('<body name="trunk"', GROUND + '<body name="trunk"'),
     "fixed base, frictionless bars": robot(limbs(LEG, BAR), base="", plane='condim="1"'),
 }
 
@@ -153,6 +169,7 @@ SENSORS = (
     '<sensor><framequat objtype="body" objname="{0}"/><framequat objtype="site" objname="eye"/>'
     '<accelerometer site="eye"/><velocimeter site="eye"/><gyro site="eye"/><framexaxis objtype="site" objname="eye"/>'
     '<framepos objtype="xbody" objname="{0}"/><frameangvel objtype="body" objname="{0}"/>'
+    '<subtreecom body="{0}"/>'
     '<jointactuatorfrc joint="a1"/><jointactuatorfrc joint="b0"/><jointpos joint="a2"/><jointvel joint="b1"/></sensor>'
 )
 

@@ -145,6 +145,12 @@ class ArrayBuilder:
             index: array of indices.
             cases: arrays of one shape.
         """
+        if cases[0].size and isinstance(cases[0].flat[0], tuple):  # random keys, of two words each
+            words = [
+                self.select_by_index(index, [build_array(x.shape, lambda i, x=x, k=k: x[i][k]) for x in cases])
+                for k in range(2)
+            ]
+            return build_array(cases[0].shape, lambda i: (words[0][i], words[1][i]))
         dtype = cases[0].flat[0].dtype if cases[0].size else "float32"
         if len(cases) == 2 and (not index.size or index.flat[0].dtype == "bool"):
             return self.map_elements("select", [index, cases[1], cases[0]], dtype)

@@ -193,10 +193,16 @@ def test_random_numbers_are_those_of_jax():
     def drawn(words):
         key = jax.random.wrap_key_data(words)
         first, second = jax.random.split(jax.random.fold_in(key, 7))
-        return {"bits": jax.random.bits(first, (3, 2)), "normal": jax.random.normal(second, (4,))}
+        chosen = jnp.where(words[0] % 2 == 0, first, second)
+        return {
+            "bits": jax.random.bits(first, (3, 2)),
+            "normal": jax.random.normal(second, (4,)),
+            "chosen": jax.random.bits(chosen),
+        }
 
     fused, xla = both(drawn, jax.random.key_data(jax.random.split(jax.random.key(3), WIDTH)))
-    np.testing.assert_array_equal(fused["bits"], xla["bits"])
+    for name in ("bits", "chosen"):
+        np.testing.assert_array_equal(fused[name], xla[name])
     np.testing.assert_allclose(fused["normal"], xla["normal"], rtol=1e-6)
 
 

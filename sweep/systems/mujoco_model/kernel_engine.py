@@ -23,6 +23,7 @@ from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
 from sweep.fused import driver, kernel, launch
 from sweep.fused.arrays import UnsupportedPrimitive
+from sweep.fused.randomness import is_key
 from sweep.systems.mujoco_model import batch, disturbances, fields
 from sweep.systems.mujoco_model.engine import (
     ON_NATIVE,
@@ -88,6 +89,11 @@ class Carry(NamedTuple):
     wrong: Rows  # whether a command was not finite
     needs_native: Rows  # whether something happened that the kernel does not simulate, or a step was not solved
     over: Rows  # whether the rollout has ended: on a GPU a warp stops when all of its rollouts have
+
+
+def _copy_to_host(values: Any) -> Any:
+    """Values as an array of NumPy; random keys, which it does not have, stay as they are."""
+    return values if is_key(values) else np.asarray(values)
 
 
 class KernelModelEngine(ModelEngine):
@@ -329,7 +335,7 @@ class KernelModelEngine(ModelEngine):
         if pushed := len(spec.pushed_bodies):
             extra |= {"wrench": zeros((n, pushed, 3)), "places": zeros((n, 2, pushed, 3))}
         metrics = jax.tree.map(np.asarray, self._meter.start(qpos, qvel))
-        carry = Carry(qpos, qvel, zeros((n, model.nv)), metrics, jax.tree.map(np.asarray, controller),
+        carry = Carry(qpos, qvel, zeros((n, model.nv)), metrics, jax.tree.map(_copy_to_host, controller),
                       zeros((n, model.nu)), observable, zeros((n, model.nu)), extra, zeros((n, model.nu)),
                       np.zeros(n, np.int32), ticks, *(np.zeros(n, bool) for _ in range(3)))  # fmt: skip
         varied = self._find_varied(world)
@@ -501,4 +507,4 @@ class _GpuRunner:
 
     def finish(self) -> Carry:
         """Return the carry at the end, (n, ...)."""
-        return jax.tree.map(np.asarray, self._carry)
+        return jax.tree.map(_copy_to_host, self._carry)

@@ -75,12 +75,13 @@ def draw_states(model: mujoco.MjModel, keyframe: int, count: int) -> list[mujoco
 
 
 def _lower(model: mujoco.MjModel, data: mujoco.MjData, planes: list[int], at: int, depth: float) -> None:
-    """Move the robot along the first plane's normal, until its lowest point is `depth` below."""
+    """Move the robot along the first plane's normal, until the point nearest to the ground is `depth` below."""
     if not planes:
         return
     mujoco.mj_kinematics(model, data)
     normal = data.geom_xmat[planes[0]].reshape(3, 3)[:, 2]
     start = data.geom_xpos[planes[0]]
+    is_ground = model.body_weldid[model.geom_bodyid] == 0
     margins = model.geom_margin, model.pair_margin
     before = [one.copy() for one in margins]
     for one in margins:
@@ -88,7 +89,7 @@ def _lower(model: mujoco.MjModel, data: mujoco.MjData, planes: list[int], at: in
     mujoco.mj_fwdPosition(model, data)
     for one, values in zip(margins, before, strict=True):
         one[:] = values
-    near = [float(c.dist) for c in data.contact[: data.ncon] if planes[0] in (c.geom1, c.geom2)]
+    near = [float(c.dist) for c in data.contact[: data.ncon] if is_ground[c.geom1] or is_ground[c.geom2]]
     distance = min(near) if near else float(normal @ (data.qpos[at : at + 3] - start))
     data.qpos[at : at + 3] -= (distance + depth) * normal
 

@@ -12,10 +12,11 @@ import numpy as np
 from sweep.systems.mujoco_model.kernel.layout import (
     BOX,
     CAPSULE,
+    SPHERE,
     CollisionPlane,
     RobotLayout,
     find_pair_ids,
-    touches_plane,
+    touches_ground,
     unsupported_model_error,
 )
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers, raise_to_power
@@ -67,8 +68,8 @@ class CandidatePoint(NamedTuple):
     real: np.ndarray  # (n,) whether the place of a row is one, and no filling
 
 
-class PlaneContacts(NamedTuple):
-    """Contacts of corresponding points of all limbs with a plane: frame, friction and reference acceleration."""
+class GroundContacts(NamedTuple):
+    """Contacts of corresponding points of all limbs with a geom of the world: frame, friction and accelerations."""
 
     point: CandidatePoint
     at: Vector  # from the base's origin
@@ -106,7 +107,7 @@ class JointRow(NamedTuple):
 class Constraints(NamedTuple):
     """All constraints that act on the robot in a state: contacts, joint limits, joint friction."""
 
-    contacts: tuple[PlaneContacts, ...]
+    contacts: tuple[GroundContacts, ...]
     rows: tuple[JointRow, ...]
     is_elliptic: bool
     pairs: tuple[Any, ...] = ()  # `PairContacts` of the robot's geoms with one another
@@ -118,7 +119,7 @@ def find_candidate_points(layout: RobotLayout, numbers: ModelNumbers, plane: int
     for s, stack in enumerate(layout.stacks):
         singles: list[CandidatePoint] = []
         for geoms in stack.geoms:
-            if not all(touches_plane(model, int(g), plane) for g in geoms):
+            if not all(touches_ground(model, int(g), plane) for g in geoms):
                 continue
             place = numbers.vector("geom_pos", geoms)
             columns = numbers.rotation("geom_quat", geoms)
@@ -137,7 +138,7 @@ def find_candidate_points(layout: RobotLayout, numbers: ModelNumbers, plane: int
                 for side in (1.0, -1.0):
                     end = place + along * (size[1] * side)
                     singles.append(CandidatePoint(s, end, NOTHING, size[0], along, stack.bodies, geoms, real))
-            else:
+            elif model.geom_type[geoms[0]] == SPHERE:
                 singles.append(CandidatePoint(s, place, NOTHING, size[0], None, stack.bodies, geoms, real))
         packable = stack.n == 1 and len(singles) > 1 and all(_is_known(one) for one in singles)
         found += _pack(singles, layout.group) if packable else singles
@@ -179,7 +180,7 @@ def _pack(singles: list[CandidatePoint], group: int) -> list[CandidatePoint]:
 
 def find_contacts(
     layout: RobotLayout, numbers: ModelNumbers, state: RobotState, smooth: SmoothTerms
-) -> list[PlaneContacts]:
+) -> list[GroundContacts]:
     """Compute the contacts of the robot with all planes in a state; points above a plane have zero weight."""
     found = []
     for plane in layout.planes:
@@ -194,8 +195,8 @@ def find_contacts(
             distance = height + normal.dot(centre) - point.radius
             at = centre - normal * (point.radius + distance * 0.5)
             along = None if point.along is None else rotate(place.axes, point.along)
-            frame = (normal, *_tangents(normal, along))
-            found.append(_contact(numbers, plane.geom, point, distance, at, frame, place.motion))
+            frame = (normal, *make_plane_tangents(normal, along))
+            found.append(make_ground_contacts(numbers, plane.geom, point, distance, at, frame, place.motion))
     return found
 
 
@@ -206,8 +207,13 @@ def locate_plane(numbers: ModelNumbers, plane: CollisionPlane) -> Vector:
     return numbers.vector("geom_pos", np.array([plane.geom]))
 
 
-def _tangents(normal: Vector, along: Vector | None) -> tuple[Vector, Vector]:
-    """Tangents as `mju_makeFrame` chooses them: the first one along a capsule's axis, if that is not upright."""
+def make_plane_tangents(normal: Vector, along: Vector | None) -> tuple[Vector, Vector]:
+    """Return tangents of a plane as `mju_makeFrame` chooses them.
+
+    Args:
+        normal: Normal, which is known.
+        along: Axis of a capsule, along which the first tangent is unless it is upright; None for other shapes.
+    """
     n = np.array([float(one.value) for one in normal])
     usual = np.array([0.0, 1, 0]) if abs(n[1]) < 0.5 else np.array([0.0, 0, 1])
     usual = usual - n * (n @ usual)
@@ -218,6 +224,15 @@ def _tangents(normal: Vector, along: Vector | None) -> tuple[Vector, Vector]:
     length = square_root(largest(flat.dot(flat), TINY**2))
     lies = Scalar(TINY) < length
     first = Vector(*(where(lies, a / length, b) for a, b in zip(flat, usual, strict=True)))
+    return first, normal.cross(first)
+
+
+def make_tangents(normal: Vector) -> tuple[Vector, Vector]:
+    """Return tangents to normals that are computed, as `mju_makeFrame` chooses them."""
+    is_flat = (normal.y < 0.5) & (Scalar(-0.5) < normal.y)
+    along = where(is_flat, normal.y, normal.z)
+    first = Vector(ZERO, where(is_flat, ONE, ZERO), where(is_flat, ZERO, ONE)) - normal * along
+    first = first * (1 / square_root(first.dot(first)))
     return first, normal.cross(first)
 
 
@@ -264,21 +279,31 @@ def apply_contact_law(
     return ContactNumbers(tuple(frictions), regular, weight, (wanted, *others))
 
 
-def _contact(
+def make_ground_contacts(
     numbers: ModelNumbers,
-    plane: int,
+    ground: int,
     point: CandidatePoint,
     distance: Scalar,
     at: Vector,
-    frame: Any,
+    frame: tuple[Vector, Vector, Vector],
     motion: SpatialVector,
-) -> PlaneContacts:
-    """A row of contacts from distances (m), places and the motion of the bodies."""
-    geoms, bodies = (point.geoms, np.array([plane])), (point.bodies, np.array([0]))
+) -> GroundContacts:
+    """Return a row of contacts of the robot with a geom of the world.
+
+    Args:
+        numbers: Numbers of the rollout's model.
+        ground: Id of the geom of the world.
+        point: Bodies and geoms of the robot.
+        distance: Distances of the geoms, m.
+        at: Places of contact, from the base's origin.
+        frame: Normal, towards the robot, and tangents; world axes.
+        motion: Motion of the bodies.
+    """
+    geoms, bodies = (point.geoms, np.array([ground])), (point.bodies, np.array([0]))
     found = apply_contact_law(numbers, geoms, bodies, distance, frame, (motion.velocity_at(at), motion.angular))
     if not point.real.all():
         found = found._replace(weight=found.weight * Scalar(point.real.astype(float)))
-    return PlaneContacts(point, at, frame, *found)
+    return GroundContacts(point, at, frame, *found)
 
 
 def describe_contact_law(
@@ -324,9 +349,9 @@ def _find_law(
         reference = [numbers.get("pair_solref", pairs, k) for k in range(2)]
         law = make_constraint_law(numbers, reference, [numbers.get("pair_solimp", pairs, k) for k in range(5)])
         friction = [largest(numbers.get("pair_friction", pairs, k), LEAST_FRICTION) for k in range(len(chosen))]
-        return law, friction, numbers.get("pair_margin", pairs)
+        return law, friction, find_contact_margin(numbers, geoms, others)
     law, friction = _mix(numbers, geoms, others, winner)
-    return law, [friction[k] for k in chosen], _sum_margins(numbers, geoms, others)
+    return law, [friction[k] for k in chosen], find_contact_margin(numbers, geoms, others)
 
 
 def contact_components(frame: Any, linear: Vector, angular: Vector, dim: int) -> tuple[Scalar, ...]:
@@ -344,8 +369,17 @@ def contact_components(frame: Any, linear: Vector, angular: Vector, dim: int) ->
     return tuple(frame[k % len(frame)].dot(linear if k < len(frame) else angular) for k in range(dim))
 
 
-def _sum_margins(numbers: ModelNumbers, geoms: np.ndarray, others: np.ndarray) -> Scalar:
-    """Distance below which two geoms push: the sum of their margins."""
+def find_contact_margin(numbers: ModelNumbers, geoms: np.ndarray, others: np.ndarray) -> Scalar:
+    """Return the distance (m) below which geoms and others push: that of explicit pairs, or the sum of their margins.
+
+    Args:
+        numbers: Numbers of the rollout's model.
+        geoms: Ids (n,) of the geoms.
+        others: Ids (n,) or (1,) of the other geoms.
+    """
+    pairs = find_pair_ids(numbers.model, geoms, others)
+    if pairs is not None:
+        return numbers.get("pair_margin", pairs)
     return numbers.get("geom_margin", geoms) + numbers.get("geom_margin", others)
 
 
@@ -500,14 +534,14 @@ class Curve(NamedTuple):
 class _Cone(NamedTuple):
     """Where a residual is, of an elliptic cone of any dimension."""
 
-    normal: Scalar  # scaled by `PlaneContacts.regular`
+    normal: Scalar  # scaled by `GroundContacts.regular`
     sideways: list[Scalar]  # the others, scaled by their friction
     slip: Scalar  # their length
     is_open: Any
     sticks: Any
 
 
-def _find_cone(contact: PlaneContacts, residual: tuple[Scalar, ...]) -> _Cone:
+def _find_cone(contact: GroundContacts, residual: tuple[Scalar, ...]) -> _Cone:
     normal = residual[0] * contact.regular
     sideways = [a * b for a, b in zip(residual[1:], contact.friction, strict=True)]
     slip = square_root(sum((one * one for one in sideways), ZERO))
@@ -521,19 +555,19 @@ def _zones(mu: Scalar, normal: Scalar, slip: Scalar) -> tuple[Any, Any]:
     return is_open, sticks
 
 
-def _sliding_weight(contact: PlaneContacts) -> Scalar:
+def _sliding_weight(contact: GroundContacts) -> Scalar:
     """Weight of a sliding contact's distance from an elliptic cone."""
     square = contact.regular * contact.regular
     return contact.weight / (square * (1 + square))
 
 
-def _sticking_weights(contact: PlaneContacts) -> list[Scalar]:
+def _sticking_weights(contact: GroundContacts) -> list[Scalar]:
     """Weights of the rows of a sticking contact: those after the first have its weight times (friction / regular)^2."""
     ratios = [one / contact.regular for one in contact.friction]
     return [contact.weight, *(contact.weight * one * one for one in ratios)]
 
 
-def contact_force(contact: PlaneContacts, residual: tuple[Scalar, ...], is_elliptic: bool) -> tuple[Scalar, ...]:
+def contact_force(contact: GroundContacts, residual: tuple[Scalar, ...], is_elliptic: bool) -> tuple[Scalar, ...]:
     """Return the forces (N) and moments (N m) of contacts, along the axes of the contact frame.
 
     Args:
@@ -560,7 +594,7 @@ def contact_force(contact: PlaneContacts, residual: tuple[Scalar, ...], is_ellip
     return tuple(where(cone.sticks, a, where(cone.is_open, ZERO, b)) for a, b in zip(stick, slide, strict=True))
 
 
-def contact_curve(contact: PlaneContacts, residual: tuple[Scalar, ...], is_elliptic: bool) -> Curve:
+def contact_curve(contact: GroundContacts, residual: tuple[Scalar, ...], is_elliptic: bool) -> Curve:
     """Return the second derivative (Hessian) of the cost of contacts with respect to their motion."""
     weight, dim = contact.weight, contact.dim
     lower = [[ZERO] * (i + 1) for i in range(dim)]  # in the contact's frame
@@ -615,7 +649,7 @@ def _curve_in_world(frame: tuple[Vector, Vector, Vector], lower: list[list[Scala
     return Curve(linear, (mixed[0], mixed[1], mixed[2]), as_symmetric(block(moments, moments)))
 
 
-def _edges(contact: PlaneContacts, residual: tuple[Scalar, ...]) -> list[tuple[Scalar, Scalar]]:
+def _edges(contact: GroundContacts, residual: tuple[Scalar, ...]) -> list[tuple[Scalar, Scalar]]:
     """Residuals of each pair of opposite edges of a pyramid."""
     scaled = [a * b for a, b in zip(contact.friction, residual[1:], strict=True)]
     return [(residual[0] + one, residual[0] - one) for one in scaled]
@@ -624,7 +658,7 @@ def _edges(contact: PlaneContacts, residual: tuple[Scalar, ...]) -> list[tuple[S
 class ContactLine(NamedTuple):
     """Cost of contacts along a search direction, for the line search of the constraint solver."""
 
-    contact: PlaneContacts
+    contact: GroundContacts
     edges: list[tuple[Scalar, Scalar]]  # residual and its change, of the normal or of all edges of a pyramid
     normal: tuple[Scalar, Scalar] | None  # of an elliptic cone, scaled: at the start, and its change
     slip: tuple[Scalar, Scalar, Scalar] | None  # square of the slip by the powers of the length, half of the middle one
@@ -655,7 +689,7 @@ class ContactLine(NamedTuple):
 
 
 def contact_cost_line(
-    contact: PlaneContacts, residual: tuple[Scalar, ...], change: tuple[Scalar, ...], is_elliptic: bool
+    contact: GroundContacts, residual: tuple[Scalar, ...], change: tuple[Scalar, ...], is_elliptic: bool
 ) -> ContactLine:
     """Return the cost of contacts along a search direction, which changes their residuals by `change` per unit."""
     if contact.dim == 1:
@@ -680,7 +714,7 @@ def joint_row_force(row: JointRow, residual: Scalar) -> tuple[Scalar, Scalar]:
     return force, where((pull < row.most) & (-row.most < pull), row.weight, ZERO)
 
 
-def contact_wrench(contact: PlaneContacts, force: tuple[Scalar, ...]) -> SpatialVector:
+def contact_wrench(contact: GroundContacts, force: tuple[Scalar, ...]) -> SpatialVector:
     """Return the force and moment that a contact exerts on the body, from components in the contact's frame."""
     parts = [NOTHING, NOTHING]
     for k, one in enumerate(force):

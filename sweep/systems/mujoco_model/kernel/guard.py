@@ -15,9 +15,10 @@ from sweep.systems.mujoco_model.kernel.constraints import locate_plane
 from sweep.systems.mujoco_model.kernel.layout import (
     BOX,
     CAPSULE,
-    GEOM,
+    CYLINDER,
+    ELLIPSOID,
+    GROUND_SHAPES,
     PLANE,
-    SHAPES,
     SPHERE,
     RobotLayout,
     find_stack_of_body,
@@ -43,13 +44,13 @@ from sweep.systems.mujoco_model.kernel.smooth import RobotState, SmoothTerms
 
 NEAR = 2e-3  # m, of a distance that counts as a touch: a pair is looked at once in a tick
 SAMPLES = np.linspace(-1.0, 1.0, 5)  # places along a capsule, at which its distance from a box is computed
-CYLINDER, ELLIPSOID = int(GEOM.mjGEOM_CYLINDER), int(GEOM.mjGEOM_ELLIPSOID)
+WORLD = -1  # stands for the index of a stack
 
 
 class EnclosingHull(NamedTuple):
     """Capsule or box that encloses a geom, in the axes of the geom's body."""
 
-    stack: int
+    stack: int  # WORLD for one that does not move
     member: int
     place: np.ndarray  # (3,) m
     axes: np.ndarray  # (3, 3) columns
@@ -60,17 +61,25 @@ class EnclosingHull(NamedTuple):
 def find_unsimulated_pairs(layout: RobotLayout, model: mujoco.MjModel) -> list[tuple[int, int]]:
     """Return the pairs of geoms that may touch but whose contacts the kernel does not simulate."""
     simulated = {frozenset(pair) for pair in find_simulated_pairs(layout, model)}
+    for one in (*layout.planes, *layout.static_geoms):
+        shapes = GROUND_SHAPES[int(model.geom_type[one.geom])]
+        simulated |= {frozenset((one.geom, int(g))) for g in np.flatnonzero(np.isin(model.geom_type, shapes))}
     explicit = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
-    kinds = model.geom_type[pairs := np.concatenate([find_geom_pairs(model), explicit])]
-    is_simulated = (kinds == PLANE).any(axis=1) & np.isin(kinds, SHAPES).any(axis=1)
-    return [(int(a), int(b)) for a, b in pairs[~is_simulated] if frozenset((int(a), int(b))) not in simulated]
+    pairs = np.concatenate([find_geom_pairs(model), explicit]).tolist()
+    return [(a, b) for a, b in pairs if frozenset((a, b)) not in simulated]
 
 
 def enclose_geom(layout: RobotLayout, model: mujoco.MjModel, geom: int) -> EnclosingHull:
-    """Return a capsule or a box that encloses a geom of the robot, in the axes of its body."""
-    stack, member = find_stack_of_body(layout, int(model.geom_bodyid[geom]))
+    """Return a capsule or a box that encloses a geom, in the axes of its body; in the world's if it does not move."""
+    stack, member = WORLD, 0
     kind, size = int(model.geom_type[geom]), model.geom_size[geom]
     axes, place = rotation_matrix(model.geom_quat[geom]), model.geom_pos[geom].copy()
+    if model.body_weldid[model.geom_bodyid[geom]]:
+        stack, member = find_stack_of_body(layout, int(model.geom_bodyid[geom]))
+    else:
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        axes, place = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom].copy()
     if kind in (SPHERE, CAPSULE, CYLINDER):
         return EnclosingHull(
             stack, member, place, axes, np.array([size[0], 0.0 if kind == SPHERE else size[1], 0]), False
@@ -112,8 +121,8 @@ def has_near_pair(
             kinds["plane"].append((enclose_geom(layout, model, b), planes[a]))
             continue
         one, other = enclose_geom(layout, model, a), enclose_geom(layout, model, b)
-        if other.is_box and not one.is_box:
-            one, other = other, one
+        if other.is_box and not (one.is_box and as_capsule(one).size[0] > as_capsule(other).size[0]):
+            one, other = other, one  # the capsule about the smaller box encloses less beside it
         kinds["box" if one.is_box else "capsule"].append((one, as_capsule(other)))
     for name, found in kinds.items():
         for first in range(0, len(found), layout.group):
@@ -123,11 +132,17 @@ def has_near_pair(
     return near
 
 
-def _placed(smooth: SmoothTerms, hulls: list[EnclosingHull]) -> tuple[Vector, list[Vector], list[Scalar]]:
+def _placed(
+    state: RobotState, smooth: SmoothTerms, hulls: list[EnclosingHull]
+) -> tuple[Vector, list[Vector], list[Scalar]]:
     """Places, axes and sizes of a row of hulls, from the base's origin and in the world's axes."""
 
     every: list[list[Vector]] = []
     for hull in hulls:
+        if hull.stack == WORLD:
+            own = [known_vector(hull.axes[:, k]) for k in range(3)]
+            every.append([known_vector(hull.place) - state.position, *own])
+            continue
         place = smooth.places[hull.stack]
         x, y, z = (one.member(hull.member) for one in place.axes)
         columns = [rotate((x, y, z), known_vector(hull.axes[:, k])) for k in range(3)]
@@ -140,7 +155,7 @@ def _placed(smooth: SmoothTerms, hulls: list[EnclosingHull]) -> tuple[Vector, li
 
 def _plane_distance(numbers: ModelNumbers, state: RobotState, smooth: SmoothTerms, row: list[Any]) -> Scalar:
     """Height (n,) of the lowest point of each hull above its plane."""
-    place, axes, size = _placed(smooth, [hull for hull, _ in row])
+    place, axes, size = _placed(state, smooth, [hull for hull, _ in row])
     places = [locate_plane(numbers, plane) for _, plane in row]
     start = join_vectors(places)
     normal = Vector(*(Scalar(np.array([plane.normal[k] for _, plane in row])) for k in range(3)))
@@ -161,8 +176,8 @@ def _box_distance(numbers: ModelNumbers, state: RobotState, smooth: SmoothTerms,
     The distance is computed at some places along the capsule, and reduced by half the gap between them.
     """
     boxes, capsules = ([pair[k] for pair in row] for k in range(2))
-    place, axes, size = _placed(smooth, boxes)
-    middle, along, capsule = _placed(smooth, capsules)
+    place, axes, size = _placed(state, smooth, boxes)
+    middle, along, capsule = _placed(state, smooth, capsules)
     frame = axes[0], axes[1], axes[2]
     arm, way = rotate_back(frame, middle - place), rotate_back(frame, along[2] * capsule[1])
     nearest = Scalar(1e3)
@@ -178,8 +193,8 @@ def _box_distance(numbers: ModelNumbers, state: RobotState, smooth: SmoothTerms,
 
 def _capsule_distance(numbers: ModelNumbers, state: RobotState, smooth: SmoothTerms, row: list[Any]) -> Scalar:
     """Distance (n,) of two capsules: that of their axes' segments less both radii."""
-    place, axes, size = _placed(smooth, [pair[0] for pair in row])
-    middle, others, other = _placed(smooth, [pair[1] for pair in row])
+    place, axes, size = _placed(state, smooth, [pair[0] for pair in row])
+    middle, others, other = _placed(state, smooth, [pair[1] for pair in row])
     a, b, arm = axes[2], others[2], place - middle
     cosine, p, q = a.dot(b), a.dot(arm), b.dot(arm)
     sine = largest(1 - cosine * cosine, 1e-6)

@@ -14,8 +14,16 @@ from sweep.systems.mujoco_model.geom_pairs import may_touch
 
 FREE, BALL, SLIDE, HINGE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{one}")) for one in ("FREE", "BALL", "SLIDE", "HINGE"))
 GEOM = mujoco.mjtGeom
-PLANE, SPHERE, CAPSULE, BOX = (int(getattr(GEOM, f"mjGEOM_{one}")) for one in ("PLANE", "SPHERE", "CAPSULE", "BOX"))
-SHAPES = (SPHERE, CAPSULE, BOX)  # that touch planes
+PLANE, SPHERE, CAPSULE, BOX, CYLINDER, ELLIPSOID, HFIELD = (
+    int(getattr(GEOM, f"mjGEOM_{one}"))
+    for one in ("PLANE", "SPHERE", "CAPSULE", "BOX", "CYLINDER", "ELLIPSOID", "HFIELD")
+)
+GROUND_SHAPES = {  # shapes of the robot whose contacts with a shape of the world are simulated; `guard` watches others
+    PLANE: (SPHERE, CAPSULE, BOX, CYLINDER, ELLIPSOID),
+    SPHERE: (SPHERE, CAPSULE),
+    CAPSULE: (SPHERE, CAPSULE),
+    BOX: (SPHERE,),
+}
 UNKNOWN_FIELDS = (
     "dof_dampingpoly",
     "jnt_stiffnesspoly",
@@ -49,7 +57,7 @@ class BodyStack(NamedTuple):
     bodies: np.ndarray  # (n,) ids
     parent: int  # index of the stack that holds their parents; -1 for the world's
     joints: tuple[np.ndarray, ...]  # ids (n,) of each joint, in the order in which they move the body
-    geoms: tuple[np.ndarray, ...]  # ids (n,) of each geom that may touch a plane
+    geoms: tuple[np.ndarray, ...]  # ids (n,) of each geom that may touch the ground
 
     @property
     def n(self) -> int:
@@ -65,6 +73,15 @@ class CollisionPlane(NamedTuple):
     normal: np.ndarray  # (3,)
 
 
+class StaticGeom(NamedTuple):
+    """A sphere, capsule or box of the world that spheres or capsules of the robot may touch."""
+
+    geom: int  # id
+    kind: int  # shape
+    position: np.ndarray  # (3,) m
+    axes: np.ndarray  # (3, 3) columns
+
+
 class RobotLayout(NamedTuple):
     """Bodies of a model, grouped into stacks of corresponding limb bodies, parents before children, the base first."""
 
@@ -72,6 +89,7 @@ class RobotLayout(NamedTuple):
     group: int  # bodies of a stack
     has_free_base: bool
     planes: tuple[CollisionPlane, ...]
+    static_geoms: tuple[StaticGeom, ...]
 
     def free_dofs(self, model: mujoco.MjModel) -> np.ndarray:
         """Return the indices (6,) of the base's free degrees of freedom, linear then angular; (0,) for a fixed base."""
@@ -100,7 +118,8 @@ def find_layout(model: mujoco.MjModel) -> RobotLayout:
     """Group the bodies of a model into stacks of corresponding limb bodies. Raises `InputError` if the kernel cannot
     simulate the model."""
     require_supported_features(model)
-    planes = find_planes(model)
+    planes, static_geoms = find_planes(model), find_static_geoms(model)
+    ground = [one.geom for one in (*planes, *static_geoms)]
     children: dict[int, list[int]] = {b: [] for b in range(model.nbody)}
     for body in range(1, model.nbody):
         children[int(model.body_parentid[body])].append(body)
@@ -113,10 +132,15 @@ def find_layout(model: mujoco.MjModel) -> RobotLayout:
                 f"body {model.body(stray[0] if stray else base).name} beside the robot with its free base"
             )
 
+    def touched(geom: int) -> tuple[int, ...]:
+        """Geoms of the world that a geom of the robot may touch, in contacts that are simulated."""
+        kind = int(model.geom_type[geom])
+        found = [g for g in ground if kind in GROUND_SHAPES[int(model.geom_type[g])]]
+        return tuple(g for g in found if touches_ground(model, geom, g))
+
     def touching(body: int) -> list[int]:
         mine = [g for g in range(model.ngeom) if model.geom_bodyid[g] == body and model.body_weldid[body]]
-        shaped = [g for g in mine if model.geom_type[g] in SHAPES]  # `guard` watches the others
-        return [g for g in shaped if any(touches_plane(model, g, plane.geom) for plane in planes)]
+        return [g for g in mine if touched(g)]
 
     def own_joints(body: int) -> list[int]:
         first = model.body_jntadr[body]
@@ -124,7 +148,8 @@ def find_layout(model: mujoco.MjModel) -> RobotLayout:
 
     def signature(body: int) -> tuple:
         kinds = tuple((int(model.jnt_type[j]), len(joint_actuators(model, j))) for j in own_joints(body))
-        shapes = tuple(int(model.geom_type[g]) for g in touching(body))
+        fields = model.geom_type, model.geom_condim, model.geom_priority
+        shapes = tuple((*(int(one[g]) for one in fields), touched(g)) for g in touching(body))
         return kinds, shapes, tuple(signature(child) for child in moving(children[body]))
 
     def moving(bodies: list[int]) -> list[int]:
@@ -165,7 +190,7 @@ def find_layout(model: mujoco.MjModel) -> RobotLayout:
                     add([one], place)
 
     add([base], -1)
-    return RobotLayout(tuple(stacks), group, bool(base), planes)
+    return RobotLayout(tuple(stacks), group, bool(base), planes, static_geoms)
 
 
 def find_stack_of_body(layout: RobotLayout, body: int) -> tuple[int, int]:
@@ -183,10 +208,26 @@ def find_planes(model: mujoco.MjModel) -> tuple[CollisionPlane, ...]:
     mujoco.mj_kinematics(model, data)
     normals = data.geom_xmat.reshape(-1, 3, 3)[:, :, 2]
     normals[np.abs(normals) < 1e-15] = 0  # so that constants fold
-    collides = (model.geom_contype | model.geom_conaffinity) != 0
-    collides |= np.isin(np.arange(model.ngeom), [model.pair_geom1, model.pair_geom2])
-    found = np.flatnonzero((model.geom_type == PLANE) & collides)
+    found = np.flatnonzero((model.geom_type == PLANE) & _may_collide(model))
     return tuple(CollisionPlane(int(g), data.geom_xpos[g].copy(), normals[g].copy()) for g in found)
+
+
+def find_static_geoms(model: mujoco.MjModel) -> tuple[StaticGeom, ...]:
+    """Return the spheres, capsules and boxes of the world with which geoms may collide, with their poses."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    is_static = (model.body_weldid[model.geom_bodyid] == 0) & _may_collide(model)
+    found = np.flatnonzero(is_static & np.isin(model.geom_type, [SPHERE, CAPSULE, BOX]))
+    axes = data.geom_xmat.reshape(-1, 3, 3)
+    axes[np.abs(axes) < 1e-15] = 0  # so that constants fold
+    kinds = model.geom_type
+    return tuple(StaticGeom(int(g), int(kinds[g]), data.geom_xpos[g].copy(), axes[g].copy()) for g in found)
+
+
+def _may_collide(model: mujoco.MjModel) -> np.ndarray:
+    """Whether each geom may touch another one, by its type or by an explicit pair."""
+    by_type = (model.geom_contype | model.geom_conaffinity) != 0
+    return by_type | np.isin(np.arange(model.ngeom), [model.pair_geom1, model.pair_geom2])
 
 
 def find_pair_ids(model: mujoco.MjModel, geoms: np.ndarray, others: np.ndarray) -> np.ndarray | None:
@@ -213,9 +254,12 @@ def find_pair_ids(model: mujoco.MjModel, geoms: np.ndarray, others: np.ndarray) 
     return np.array(found)
 
 
-def touches_plane(model: mujoco.MjModel, geom: int, plane: int) -> bool:
-    """Return whether a geom and a plane may touch, by type or by an explicit pair."""
-    return bool(may_touch(model, geom, plane)) or find_pair_ids(model, np.array([geom]), np.array([plane])) is not None
+def touches_ground(model: mujoco.MjModel, geom: int, ground: int) -> bool:
+    """Return whether a geom and one of the world may touch, by type or by an explicit pair."""
+    excluded = (min(bodies := model.geom_bodyid[[geom, ground]].tolist()) << 16) + max(bodies)
+    if find_pair_ids(model, np.array([geom]), np.array([ground])) is not None:
+        return True
+    return bool(may_touch(model, geom, ground)) and excluded not in model.exclude_signature
 
 
 def joint_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
@@ -239,15 +283,7 @@ def require_supported_features(model: mujoco.MjModel) -> None:
     first = model.jnt_dofadr[free[0]] if len(free) else 0
     of_base = slice(first, first + 6 * len(free))
     integrators = [int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)]
-    moving = model.body_weldid[model.geom_bodyid] != 0
-    things = [g for g in range(model.ngeom) if not moving[g] and model.geom_type[g] != PLANE]
-    static = [
-        g
-        for g in things
-        if any(may_touch(model, g, int(other)) for other in np.flatnonzero(moving))
-        or g in model.pair_geom1
-        or g in model.pair_geom2
-    ]
+    fields = np.flatnonzero((model.geom_type == HFIELD) & _may_collide(model))
     disabled = int(opt.disableflags) & ~sum(int(one) for one in ALLOWED_FLAGS)
     other = [name for name in UNKNOWN_FIELDS if np.any(getattr(model, name, 0))]
     wrong = {
@@ -270,7 +306,7 @@ def require_supported_features(model: mujoco.MjModel) -> None:
         "gravity compensation": model.body_gravcomp.any(),
         "noslip iterations": opt.noslip_iterations,
         f"the integrator {mujoco.mjtIntegrator(int(opt.integrator)).name}": int(opt.integrator) not in integrators,
-        f"geom {model.geom(static[0]).name or static[0]}, which is no plane, as ground" if static else "": len(static),
+        f"geom {model.geom(fields[0]).name or fields[0]}, which is a height field" if len(fields) else "": len(fields),
         "disabled features of MuJoCo": disabled,
         "override of contacts or forward-inverse comparison": int(opt.enableflags)
         & ~int(mujoco.mjtEnableBit.mjENBL_ENERGY),

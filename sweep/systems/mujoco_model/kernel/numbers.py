@@ -33,12 +33,13 @@ class ModelNumbers:
         """
         self.read.add(name)
         place = component if ids is None else (np.asarray(ids) if len(ids) > 1 else int(ids[0]), *component)
-        if self._differs(name, place):
+        if self.is_varied(name, place):
             return Scalar(self._rows[name][place])
         known = np.asarray(fields.field_values(self.model, name), float)[place]
         return Scalar(known if np.ndim(known) else float(known))
 
-    def _differs(self, name: str, place: Any) -> bool:
+    def is_varied(self, name: str, place: Any) -> bool:
+        """Return whether elements of a model field, given by an index of its array, differ between rollouts."""
         return name in self._varied and bool(np.any(self._varied[name][place]))
 
     def vector(self, name: str, ids: np.ndarray | None = None) -> Vector:
@@ -47,11 +48,11 @@ class ModelNumbers:
 
     def is_used(self, name: str, ids: np.ndarray) -> bool:
         """Return whether a model field may have a number other than 0 for some elements."""
-        return self._differs(name, ids) or bool(np.any(fields.field_values(self.model, name)[ids]))
+        return self.is_varied(name, ids) or bool(np.any(fields.field_values(self.model, name)[ids]))
 
     def rotation(self, name: str, ids: np.ndarray) -> tuple[Vector, Vector, Vector] | None:
         """Return the columns of the rotation matrices of quaternions in a model field; None if they do not rotate."""
-        if self._differs(name, ids):
+        if self.is_varied(name, ids):
             w, x, y, z = (self.get(name, ids, k) for k in range(4))
             return quaternion_axes(w, x, y, z)
         quats = np.asarray(getattr(self.model, name)[ids], float)

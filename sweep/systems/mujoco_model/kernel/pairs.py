@@ -10,7 +10,12 @@ import mujoco
 import numpy as np
 
 from sweep.systems.mujoco_model.geom_pairs import find_geom_pairs
-from sweep.systems.mujoco_model.kernel.constraints import TINY, apply_contact_law, describe_contact_law
+from sweep.systems.mujoco_model.kernel.constraints import (
+    TINY,
+    apply_contact_law,
+    describe_contact_law,
+    make_tangents,
+)
 from sweep.systems.mujoco_model.kernel.layout import CAPSULE, SPHERE, RobotLayout, find_pair_ids, find_stack_of_body
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
 from sweep.systems.mujoco_model.kernel.scalars import (
@@ -86,7 +91,7 @@ def find_pair_rows(layout: RobotLayout, model: mujoco.MjModel) -> list[PairRow]:
     """Return the simulated pairs of a model as rows of as many as a group has bodies."""
     alike: dict[tuple, list[tuple[int, int]]] = {}
     for a, b in find_simulated_pairs(layout, model):
-        alike.setdefault((*model.geom_type[[a, b]].tolist(), *_law_form(model, a, b)), []).append((a, b))
+        alike.setdefault((*model.geom_type[[a, b]].tolist(), *describe_law_form(model, a, b)), []).append((a, b))
     found = []
     for key, pairs in alike.items():
         for first in range(0, len(pairs), layout.group):
@@ -99,8 +104,14 @@ def find_pair_rows(layout: RobotLayout, model: mujoco.MjModel) -> list[PairRow]:
     return found
 
 
-def _law_form(model: mujoco.MjModel, a: int, b: int) -> tuple:
-    """What the contacts of two geoms must have in common with those of others to be computed with them."""
+def describe_law_form(model: mujoco.MjModel, a: int, b: int) -> tuple:
+    """Return what the contacts of two geoms must have in common with those of others to be computed with them.
+
+    Args:
+        model: The model.
+        a: Id of the first geom.
+        b: Id of the second geom.
+    """
     both = np.array([a]), np.array([b])
     _, winner, dim = describe_contact_law(model, *both)
     pairs = find_pair_ids(model, *both)
@@ -194,14 +205,14 @@ def _find_row_contacts(numbers: ModelNumbers, smooth: SmoothTerms, row: PairRow)
             axes.append(z if columns is None else rotate((x, y, z), columns[2]))
         places.append(join_vectors(centres))
         along.append(join_vectors(axes) * numbers.get("geom_size", geoms, 1) if kind == CAPSULE else None)
-    first, second, parallel = _find_nearest(places, along)
+    first, second, parallel = find_nearest_points(places, along)
     radius = [numbers.get("geom_size", geoms, 0) for geoms in row.geoms]
     gap = second - first
     length = square_root(gap.dot(gap))
     normal = gap * (1 / largest(length, TINY))
     distance = length - radius[0] - radius[1]
     at = first + normal * (radius[0] + distance * 0.5)
-    frame = (normal, *_make_tangents(normal))
+    frame = (normal, *make_tangents(normal))
     motions = [place.motion for place in smooth.places]
     moving = [join_motions(motions, bodies) for bodies in row.bodies]
     relative = moving[1] - moving[0]
@@ -220,10 +231,15 @@ def join_motions(
     return SpatialVector(join_vectors(parts[0]), join_vectors(parts[1]))
 
 
-def _find_nearest(places: list[Vector], along: list[Vector | None]) -> tuple[Vector, Vector, Any]:
-    """Nearest points of the middles of two shapes, as MuJoCo finds them, and whether two axes are parallel.
+def find_nearest_points(places: list[Vector], along: list[Vector | None]) -> tuple[Vector, Vector, Any]:
+    """Return the nearest points of the middles of two shapes, as MuJoCo finds them.
 
-    A sphere's middle is its centre, and a capsule's a segment, given by half of it; shapes are in MuJoCo's order.
+    Args:
+        places: Centres of both shapes.
+        along: Half of the middle of each: a capsule's is a segment, a sphere's its centre (None). A sphere is first.
+
+    Returns:
+        The points of both, and whether the segments of two capsules are parallel; None for other shapes.
     """
     (a, b), (one, other) = places, along
     if other is None:
@@ -243,12 +259,3 @@ def _find_nearest(places: list[Vector], along: list[Vector | None]) -> tuple[Vec
     t = where(s > ONE, (v - q) / r, where(s < -ONE, (v + q) / r, t))
     s = where(t > ONE, (u - q) / p, where(t < -ONE, (u + q) / p, s))
     return a + one * clip(s, -ONE, ONE), b + other * clip(t, -ONE, ONE), parallel
-
-
-def _make_tangents(normal: Vector) -> tuple[Vector, Vector]:
-    """Tangents to computed normals, as `mju_makeFrame` chooses them."""
-    is_flat = (normal.y < 0.5) & (Scalar(-0.5) < normal.y)
-    along = where(is_flat, normal.y, normal.z)
-    first = Vector(ZERO, where(is_flat, ONE, ZERO), where(is_flat, ZERO, ONE)) - normal * along
-    first = first * (1 / square_root(first.dot(first)))
-    return first, normal.cross(first)

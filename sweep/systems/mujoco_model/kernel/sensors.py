@@ -169,6 +169,8 @@ def _why_unknown(layout: RobotLayout, model: mujoco.MjModel, k: int) -> str:
         stacks = [s for s, stack in enumerate(layout.stacks) if body in stack.bodies]
         if not stacks or not body:
             return f"{name} of what does not move"
+    if kind == int(Sensor.mjSENS_SUBTREECOM) and not model.body_weldid[model.sensor_objid[k]]:
+        return f"{name} of what does not move"
     if kind == int(Sensor.mjSENS_TOUCH) and int(model.site_type[model.sensor_objid[k]]) not in (SPHERE, BOX):
         return f"{name} of a site that is neither sphere nor box"
     return ""
@@ -266,6 +268,24 @@ def _if_hit(numbers: ModelNumbers, site: int, frame: Frame, at: Vector, way: Vec
     return where((near < far) & ~(far < ZERO), force, ZERO)
 
 
+def _subtree_centre(
+    layout: RobotLayout, numbers: ModelNumbers, state: RobotState, result: StepResult, k: int
+) -> list[Scalar]:
+    """Centre of mass (m, world axes) of a body and all bodies that it moves."""
+    model, root = numbers.model, int(numbers.model.sensor_objid[k])
+    inside = {root}
+    for body in range(root + 1, model.nbody):  # parents come before their children
+        inside |= {body} if int(model.body_parentid[body]) in inside else set()
+    mass, moment = ZERO, NOTHING
+    for stack, place in zip(layout.stacks, result.smooth.places, strict=True):
+        chosen = np.isin(stack.bodies, list(inside))
+        own = numbers.get("body_mass", stack.bodies)
+        own = own if chosen.all() else own * Scalar(chosen.astype(float))
+        mass = mass + own.total(stack.n)
+        moment = moment + Vector(*(one.total(stack.n) for one in place.centre * own))
+    return [*(state.position + moment * (1 / mass))]
+
+
 FRAME_RULES: dict[str, Callable[[Frame], Any]] = {
     "ACCELEROMETER": lambda frame: rotate_back(frame.axes, frame.acceleration),
     "VELOCIMETER": lambda frame: rotate_back(frame.axes, frame.velocity),
@@ -282,6 +302,7 @@ FRAMES = {int(getattr(Sensor, f"mjSENS_{name}")) for name in (*FRAME_RULES, "TOU
 RULES: dict[int, Callable[..., Any]] = {
     **{int(getattr(Sensor, f"mjSENS_{name}")): _of_frame(read) for name, read in FRAME_RULES.items()},
     int(Sensor.mjSENS_TOUCH): _touch,
+    int(Sensor.mjSENS_SUBTREECOM): _subtree_centre,
     int(Sensor.mjSENS_JOINTPOS): _joint(lambda state, joint: state.angles[joint]),
     int(Sensor.mjSENS_JOINTVEL): _joint(lambda state, joint: state.rates[joint]),
     int(Sensor.mjSENS_JOINTACTFRC): _actuator_force,

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.systems.mujoco_model.kernel.constraints import ELLIPTIC, Constraints, find_contacts, find_joint_rows
+from sweep.systems.mujoco_model.kernel.ground import find_ground_contacts
 from sweep.systems.mujoco_model.kernel.layout import RobotLayout, joint_actuators
 from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
 from sweep.systems.mujoco_model.kernel.pairs import find_pair_contacts
@@ -287,13 +288,14 @@ def solve_forward(
     smooth = compute_smooth(layout, numbers, state)
     force, damping, drives_ = compute_forces(layout, numbers, state, smooth, ctrl, pushes)
     contacts = find_contacts(layout, numbers, state, smooth)
+    others, unsure = find_ground_contacts(layout, numbers, state, smooth)
     pairs = find_pair_contacts(layout, numbers, smooth)
     rows = tuple(find_joint_rows(layout, numbers, state))
-    constraints = Constraints(tuple(contacts), rows, numbers.model.opt.cone == ELLIPTIC, tuple(pairs))
+    constraints = Constraints((*contacts, *others), rows, numbers.model.opt.cone == ELLIPTIC, tuple(pairs))
     problem = StepProblem(layout, smooth, constraints, force)
     warm = Acceleration(state.warm_base, state.warm)
     solution = solve_problem(problem, warm, iterations)
     is_unsolved = Scalar(UNBALANCED) < solution.error
-    for one in pairs:
-        is_unsolved = is_unsolved | one.is_unsure
+    for flag in (*unsure, *(one.is_unsure for one in pairs)):
+        is_unsolved = is_unsolved | flag
     return StepResult(smooth, problem, solution, drives_, is_unsolved), damping

@@ -1,0 +1,262 @@
+"""Contacts of the robot with shapes of the world other than planes, and of cylinders and ellipsoids with planes.
+
+A foot may touch few of many steps of a stair at once. So steps whose contacts have the same law share rows: each row
+has the nearest of what is left.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sweep.systems.mujoco_model.kernel.constraints import (
+    TINY,
+    CandidatePoint,
+    GroundContacts,
+    find_contact_margin,
+    locate_plane,
+    make_ground_contacts,
+    make_plane_tangents,
+    make_tangents,
+)
+from sweep.systems.mujoco_model.kernel.layout import (
+    BOX,
+    CYLINDER,
+    ELLIPSOID,
+    GROUND_SHAPES,
+    SPHERE,
+    BodyStack,
+    CollisionPlane,
+    RobotLayout,
+    StaticGeom,
+    touches_ground,
+)
+from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
+from sweep.systems.mujoco_model.kernel.pairs import describe_law_form, find_nearest_points
+from sweep.systems.mujoco_model.kernel.scalars import (
+    NOTHING,
+    ONE,
+    ZERO,
+    Axes,
+    Scalar,
+    Vector,
+    clip,
+    known_vector,
+    largest,
+    rotate,
+    rotate_back,
+    smallest,
+    square_root,
+    where,
+)
+from sweep.systems.mujoco_model.kernel.smooth import RobotState, SmoothTerms
+
+AT_ONCE = 3  # shapes of the world with the same law that a geom of the robot touches at once
+LAW_FIELDS = ("geom_friction", "geom_solref", "geom_solimp", "geom_margin", "geom_solmix")
+
+
+class Nearest(NamedTuple):
+    """A place where a geom of the robot is nearest to a shape of the world."""
+
+    distance: Scalar  # m; negative where they overlap
+    at: Vector  # from the base's origin
+    normal: Vector  # towards the robot
+
+
+def find_ground_contacts(
+    layout: RobotLayout, numbers: ModelNumbers, state: RobotState, smooth: SmoothTerms
+) -> tuple[list[GroundContacts], list[Any]]:
+    """Compute the contacts of cylinders and ellipsoids with planes, and of spheres and capsules with other shapes.
+
+    Args:
+        layout: Stacks of like bodies of the robot.
+        numbers: Numbers of the rollout's model.
+        state: State of the robot.
+        smooth: Kinematics of the state.
+
+    Returns:
+        The contacts, and flags of rollouts with a contact that is not among them.
+    """
+    found, unsure, model = [], [], numbers.model
+    for s, stack in enumerate(layout.stacks):
+        for geoms in stack.geoms:
+            kind, point = int(model.geom_type[geoms[0]]), _stand_for(s, stack, geoms)
+            touched = [one for one in layout.planes if touches_ground(model, int(geoms[0]), one.geom)]
+            for plane in touched if kind in (CYLINDER, ELLIPSOID) else []:
+                centre, axes = _locate(numbers, smooth, s, geoms)
+                places = _cylinder_points if kind == CYLINDER else _ellipsoid_point
+                height = Vector(*(x - y for x, y in zip(state.position, locate_plane(numbers, plane), strict=True)))
+                normal = known_vector(plane.normal)
+                frame = (normal, *make_plane_tangents(normal, None))
+                for at in places(numbers, plane, geoms, centre, axes):
+                    distance = normal.dot(height + at)
+                    middle = at - normal * (distance * 0.5)
+                    found.append(
+                        make_ground_contacts(
+                            numbers, plane.geom, point, distance, middle, frame, smooth.places[s].motion
+                        )
+                    )
+            for alike in _find_alike(layout, numbers, geoms):
+                nearest = [_find_nearest(numbers, state, smooth, s, geoms, one, unsure) for one in alike]
+                for one in _select_nearest(nearest, unsure, numbers, geoms, alike[0].geom):
+                    frame = (one.normal, *make_tangents(one.normal))
+                    found.append(
+                        make_ground_contacts(
+                            numbers, alike[0].geom, point, one.distance, one.at, frame, smooth.places[s].motion
+                        )
+                    )
+    return found, unsure
+
+
+def _stand_for(s: int, stack: BodyStack, geoms: np.ndarray) -> CandidatePoint:
+    """Say whose contacts a row has; where they are is computed apart."""
+    return CandidatePoint(s, NOTHING, NOTHING, ZERO, None, stack.bodies, geoms, np.ones(len(geoms), bool))
+
+
+def _locate(numbers: ModelNumbers, smooth: SmoothTerms, s: int, geoms: np.ndarray) -> tuple[Vector, Axes]:
+    """Centres of geoms from the base's origin, and their axes."""
+    place = smooth.places[s]
+    columns = numbers.rotation("geom_quat", geoms)
+    axes = place.axes
+    if columns is not None:
+        axes = rotate(axes, columns[0]), rotate(axes, columns[1]), rotate(axes, columns[2])
+    return place.origin + rotate(place.axes, numbers.vector("geom_pos", geoms)), axes
+
+
+def _cylinder_points(
+    numbers: ModelNumbers, plane: CollisionPlane, geoms: np.ndarray, centre: Vector, axes: Axes
+) -> list[Vector]:
+    """The four points of a cylinder that MuJoCo lets touch a plane: the lowest of each end, and two more of the lower.
+
+    The three of the lower end make a triangle.
+    """
+    normal = known_vector(plane.normal)
+    radius, half = (numbers.get("geom_size", geoms, k) for k in range(2))
+    side = where(normal.dot(axes[2]) > ZERO, -ONE, ONE)
+    axis = axes[2] * side  # towards the plane
+    slope = normal.dot(axis)
+    down = axis * slope - normal
+    square = down.dot(down)
+    is_tilted = ~(square < TINY**2)
+    scale = radius / square_root(where(is_tilted, square, ONE))
+    arm = Vector(*(where(is_tilted, a * scale, b * radius) for a, b in zip(down, axes[0], strict=True)))
+    end = axis * half
+    across = arm.cross(end)
+    across = across * (radius * (3**0.5 / 2) / square_root(across.dot(across)))
+    low = centre + end
+    return [low + arm, centre - end + arm, low + across - arm * 0.5, low - across - arm * 0.5]
+
+
+def _ellipsoid_point(
+    numbers: ModelNumbers, plane: CollisionPlane, geoms: np.ndarray, centre: Vector, axes: Axes
+) -> list[Vector]:
+    """The lowest point of an ellipsoid."""
+    size = [numbers.get("geom_size", geoms, k) for k in range(3)]
+    local = rotate_back(axes, known_vector(plane.normal))
+    scaled = Vector(*(a * b for a, b in zip(local, size, strict=True)))
+    inverse = 1 / square_root(scaled.dot(scaled))
+    return [centre - rotate(axes, Vector(*(a * b * inverse for a, b in zip(scaled, size, strict=True))))]
+
+
+def _find_alike(layout: RobotLayout, numbers: ModelNumbers, geoms: np.ndarray) -> list[list[StaticGeom]]:
+    """Shapes of the world that geoms may touch, those with the same law of contacts together."""
+    model, found = numbers.model, {}
+    for one in layout.static_geoms:
+        if int(model.geom_type[geoms[0]]) in GROUND_SHAPES[one.kind] and touches_ground(model, int(geoms[0]), one.geom):
+            place = np.array([one.geom])
+            own = one.geom if any(numbers.is_varied(name, place) for name in LAW_FIELDS) else -1
+            forms = tuple(describe_law_form(model, int(geom), one.geom) for geom in geoms)
+            found.setdefault((own, forms), []).append(one)
+    return list(found.values())
+
+
+def _find_nearest(
+    numbers: ModelNumbers,
+    state: RobotState,
+    smooth: SmoothTerms,
+    s: int,
+    geoms: np.ndarray,
+    ground: StaticGeom,
+    unsure: list[Any],
+) -> Nearest:
+    """Where spheres or capsules of the robot are nearest to a shape of the world."""
+    model, ids = numbers.model, np.array([ground.geom])
+    centre, axes = _locate(numbers, smooth, s, geoms)
+    radius = numbers.get("geom_size", geoms, 0)
+    is_moved = model.geom_bodyid[ground.geom] == 0 and numbers.is_varied("geom_pos", ids)
+    place = numbers.vector("geom_pos", ids) if is_moved else known_vector(ground.position)
+    place = place - state.position
+    own = known_vector(ground.axes[:, 0]), known_vector(ground.axes[:, 1]), known_vector(ground.axes[:, 2])
+    size = [numbers.get("geom_size", ids, k) for k in range(3)]
+    if ground.kind == BOX:
+        return _nearest_of_box(rotate_back(own, centre - place), radius, size, place, own)
+    along = [
+        None if kind == SPHERE else axis * length
+        for kind, axis, length in (
+            (ground.kind, own[2], size[1]),
+            (int(model.geom_type[geoms[0]]), axes[2], numbers.get("geom_size", geoms, 1)),
+        )
+    ]
+    places, order = [place, centre], [0, 1] if along[0] is None or along[1] is not None else [1, 0]
+    points = find_nearest_points([places[k] for k in order], [along[k] for k in order])
+    first, second = points[order[0]], points[order[1]]
+    gap = second - first
+    length = square_root(gap.dot(gap))
+    normal = gap * (1 / largest(length, TINY))
+    distance = length - size[0] - radius
+    if points[2] is not None:
+        margin = find_contact_margin(numbers, geoms, ids)
+        unsure.append((points[2] & (distance < margin)).any())
+    return Nearest(distance, first + normal * (size[0] + distance * 0.5), normal)
+
+
+def _nearest_of_box(centre: Vector, radius: Scalar, size: list[Scalar], place: Vector, axes: Axes) -> Nearest:
+    """Where spheres are nearest to a box, from their centres in the box's axes, by MuJoCo's `mjraw_SphereBox`."""
+    clamped = Vector(*(clip(x, -half, half) for x, half in zip(centre, size, strict=True)))
+    out = centre - clamped
+    length = square_root(out.dot(out))
+    is_outside = length > Scalar(TINY)
+    inverse = 1 / where(is_outside, length, ONE)
+    depth, inner = Scalar(1e6), [ZERO] * 3
+    for k in range(3):
+        for side in (-1.0, 1.0):
+            here = size[k] - centre[k] * side
+            here = largest(here, -here)
+            is_nearer = here < depth
+            depth = where(is_nearer, here, depth)
+            inner = [where(is_nearer, Scalar(side if i == k else 0.0), x) for i, x in enumerate(inner)]
+    normal = Vector(*(where(is_outside, x * inverse, y) for x, y in zip(out, inner, strict=True)))
+    distance = where(is_outside, length, -depth) - radius
+    # from the centre half way between the sphere's lowest point and the box's surface
+    at = centre - normal * (radius + distance * 0.5)
+    return Nearest(distance, place + rotate(axes, at), rotate(axes, normal))
+
+
+def _select_nearest(
+    every: list[Nearest], unsure: list[Any], numbers: ModelNumbers, geoms: np.ndarray, ground: int
+) -> list[Nearest]:
+    """The nearest of several places, at most `AT_ONCE`."""
+    if len(every) <= AT_ONCE:
+        return every
+    kept: list[Nearest] = []
+    least = Scalar(1e6)  # distance of what is left out
+    for one in every:
+        rest = one
+        for k, other in enumerate(kept):
+            is_nearer = rest.distance < other.distance
+            kept[k], rest = _choose(is_nearer, rest, other), _choose(is_nearer, other, rest)
+        if len(kept) < AT_ONCE:
+            kept.append(rest)
+        else:
+            least = smallest(least, rest.distance)
+    margin = find_contact_margin(numbers, geoms, np.array([ground]))
+    unsure.append((least < margin).any())
+    return kept
+
+
+def _choose(condition: Any, one: Nearest, other: Nearest) -> Nearest:
+    def vector(a: Vector, b: Vector) -> Vector:
+        return Vector(*(where(condition, x, y) for x, y in zip(a, b, strict=True)))
+
+    return Nearest(
+        where(condition, one.distance, other.distance), vector(one.at, other.at), vector(one.normal, other.normal)
+    )
