@@ -8,6 +8,7 @@ from sweep.analysis.sample import pooled_rate
 from sweep.analysis.stats import format_percent
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError, escape_control_characters
+from sweep.runs.results import Results
 
 PLACED_AT_BOUNDARY = "most rollouts were placed next to the boundary, so this is not the share of the region"
 
@@ -26,6 +27,27 @@ def study_headline(rows: pd.DataFrame, exp: Experiment) -> str:
     if not exp.study.is_adaptive:
         return f"{pooled_rate(rows, exp)}{f'; {PLACED_AT_BOUNDARY}' if exp.study.is_refined else ''}"
     return f"{probability_of_failure(rows, exp)}; {describe_placed_rollouts(rows)}"
+
+
+def describe_setup(results: Results) -> str:
+    """Name scenario, robot, manoeuvre or model, engine, design and number of rollouts in a sentence, for captions."""
+    exp = results.exp
+    about = {"scenario": exp.scenario, **exp.system.settings_summary(exp.settings)}
+    words = ", ".join(f"{word} {value}" for word, value in about.items())
+    return f"{words[0].upper()}{words[1:]}; {describe_design(results)}; n = {len(results.rows):,} rollouts."
+
+
+def describe_design(results: Results) -> str:
+    """Name the design of a study in a few words: how its points were chosen."""
+    study = results.exp.study
+    parts = ["each parameter alone" if results.is_one_at_a_time else "grid"] if results.listed_numeric_columns else []
+    if study.points:
+        parts = ["points from a file"]
+    if study.is_refined:
+        parts = ["grid refined at the boundary"]
+    if study.design.num:
+        parts.append(study.design.kind.replace("_", " "))
+    return " of ".join(parts) or "single point"
 
 
 def describe_main_failure(rows: pd.DataFrame, exp: Experiment) -> str:

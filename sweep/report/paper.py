@@ -22,6 +22,7 @@ from sweep.core.files import write_atomically
 from sweep.core.plot_style import plot_style
 from sweep.report import cells, statistics, tables
 from sweep.report.figures import list_figures
+from sweep.report.headline import describe_setup
 from sweep.report.labels import heading
 from sweep.runs import audit
 from sweep.runs.results import Results
@@ -92,7 +93,7 @@ def write_paper(results: Results, out: Path, serif: bool = False) -> list[Path]:
     write_atomically(out / "data" / "numbers.csv", table.to_csv(index=False).encode())
     texts["numbers.tex"] = "".join(macro_definition(results, one, paths[0].name) for one in numbers)
     every = "".join([results.name, *texts.values(), *captions.values(), *(one.title + one.caption for one in shown)])
-    every += describe_study(results)
+    every += describe_setup(results)
     cyrillic, unknown, others = find_other_letters(every)
     if unknown:
         font, package = (OTHER_FONTS[0], "noto-cjk") if others else (ALPHABET_FONTS[1], "freefont-otf")
@@ -110,7 +111,7 @@ def write_paper(results: Results, out: Path, serif: bool = False) -> list[Path]:
         results=results,
         prefix=macro_prefix(results),
         figures=shown,
-        study=describe_study(results),
+        study=describe_setup(results),
         escape=escape_latex,
         tables=captions,
         sample=is_random_sample(results.rows, results.exp),
@@ -121,15 +122,6 @@ def write_paper(results: Results, out: Path, serif: bool = False) -> list[Path]:
     for name, text in texts.items():
         write_atomically(out / name, text.encode())
     return [*paths, out / "data" / "numbers.csv", *(out / name for name in texts)]
-
-
-def describe_study(results: Results) -> str:
-    """Sentence that names scenario, manoeuvre or model, engine, design and number of rollouts, for captions."""
-    exp = results.exp
-    about = {"scenario": exp.scenario, **exp.system.settings_summary(exp.settings)}
-    words = ", ".join(f"{word} {value}" for word, value in about.items())
-    design = exp.study.design.kind.replace("_", " ") if exp.study.design.num else "listed points"
-    return f"{words[0].upper()}{words[1:]}; {design}; n = {len(results.rows):,} rollouts."
 
 
 def _refuse_foreign_files(out: Path, expected: Mapping[str, Collection[str]]) -> None:

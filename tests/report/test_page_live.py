@@ -448,6 +448,21 @@ def test_every_view_is_saved(shown, form):
         assert (np.abs(seen[area].astype(int) - again[area]).max(axis=-1) > 60).mean() < 0.01
 
 
+@pytest.mark.parametrize("form", ["cells", "marks"])
+def test_a_small_map_is_saved_as_vectors(gridded, uneven, form):
+    """A path for each rollout; the head names what was simulated."""
+    if form == "marks":
+        chosen(gridded, "#map-y", "slip_max_m")
+    text = drawing(gridded, "Map")
+    assert "<image" not in text
+    fill = page.data.outcome_kinds_for_page(results.read_results(uneven[0].parent))[0]["colour"]
+    red, green, blue = (int(fill[k : k + 2], 16) for k in (1, 3, 5))
+    won = (uneven[1]["outcome"] == "success").sum()
+    assert text.count(f'fill="rgba({red},{green},{blue},1)"') == won + 1  # and the legend's
+    assert "robot hexapod" in text
+    assert "n = 25 rollouts" in text
+
+
 def test_what_goes_with_a_replay_is_told_over_time(shown):
     shown.until("document.querySelectorAll('.history').length")
     titles = shown.run("[...document.querySelectorAll('.history canvas[role]')].map(e => e.getAttribute('aria-label'))")

@@ -66,6 +66,12 @@ def test_the_data_of_a_figure_is_what_it_shows(bundle, folder):
         "map-1", "map-2", "map-3", "effects", "causes", "distributions",
     }  # fmt: skip
     assert r"\bottomrule" in (bundle / "tables/not-successful.tex").read_text()
+    text = (bundle / "main.tex").read_text()
+    captions = [line for line in text.splitlines() if line.startswith(r"\caption") and "n = 180 rollouts" in line]
+    assert len(captions) == 6
+    for words in (r"Scenario walk\_tripod", "robot hexapod", "engine mjx", "; grid;"):
+        assert all(words in line for line in captions), words
+    assert r"{\usepackage[T1]{fontenc}}{}" in text  # only beside lmodern: T1 alone takes bitmap fonts
 
 
 SIZES = ("body_length", "body_width", "body_mass", "thigh", "thigh_mass", "shin", "shin_mass")

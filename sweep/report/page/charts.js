@@ -12,6 +12,7 @@ import {
   prepareCanvas,
   drawLine,
 } from "./dom.js";
+import { fillKindCell, fillMark, isVectorPen } from "./marks.js";
 import { clamp, formatCount, packRgb, parseColour, formatShort, wilsonInterval } from "./numbers.js";
 import { makeGlyph, paintKind, makePixels, drawStamp, makeStamp } from "./raster.js";
 import { setRange } from "./selection.js";
@@ -106,6 +107,7 @@ export function stageView(app) {
  * @param {number} ratio
  */
 export function drawKindBox(pen, x, y, width, height, look, ratio) {
+  if (isVectorPen(pen)) return fillKindCell(pen, x, y, width, height, look, width >= 12);
   const [wide, high] = [Math.max(1, Math.round(width * ratio)), Math.max(1, Math.round(height * ratio))];
   const pixels = makePixels(wide, high);
   const glyph = width >= 12 ? makeGlyph(look, ratio) : null;
@@ -120,6 +122,8 @@ export function drawKindBox(pen, x, y, width, height, look, ratio) {
 export function drawLegendSymbol(app, pen, x, y, kind, ratio) {
   const look = app.looks()[kind];
   if (app.form() !== "marks") return drawKindBox(pen, x, y, LEGEND_SYMBOL, LEGEND_SYMBOL, look, ratio);
+  const middle = LEGEND_SYMBOL / 2;
+  if (isVectorPen(pen)) return fillMark(pen, look.shape, x + middle, y + middle, MARK_RADIUS, look.mark, 1);
   const size = Math.round(LEGEND_SYMBOL * ratio);
   const pixels = makePixels(size, size);
   pixels.colours.fill(packRgb(...app.theme().paper));

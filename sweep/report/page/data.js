@@ -149,6 +149,7 @@ import { clamp } from "./numbers.js";
  * @typedef {object} About
  * @property {string} name
  * @property {string} folder
+ * @property {string} setup scenario, robot, engine, design and number of rollouts
  * @property {number} total
  * @property {number} rows
  * @property {Kind[]} kinds

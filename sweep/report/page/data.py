@@ -20,6 +20,7 @@ from sweep.core.files import encode_text
 from sweep.core.json_values import to_json_value
 from sweep.report import analytic_curves
 from sweep.report.figures import effects_figure, metric_thresholds, metrics_with_threshold_first
+from sweep.report.headline import describe_setup
 from sweep.report.labels import (
     hover_text,
     kind_meaning,
@@ -99,6 +100,7 @@ def page_data(results: Results, chosen: tuple[str, ...] = (), derived: Sequence[
     return {
         "name": results.name,
         "folder": str(results.folder),
+        "setup": describe_setup(results),
         "total": len(results.rows),
         "rows": len(rows),
         "kinds": kinds,

@@ -111,6 +111,21 @@ export function shortenToFit(pen, text, room) {
 }
 
 /**
+ * Split a text at spaces into lines that fit into `room` CSS pixels.
+ * @type {(pen: CanvasRenderingContext2D, text: string, room: number) => string[]}
+ */
+export function wrapToFit(pen, text, room) {
+  /** @type {string[]} */
+  const lines = [];
+  for (const word of text.split(" ")) {
+    const longer = lines.length ? `${lines[lines.length - 1]} ${word}` : word;
+    if (lines.length && pen.measureText(longer).width <= room) lines[lines.length - 1] = longer;
+    else lines.push(word);
+  }
+  return lines;
+}
+
+/**
  * @typedef {object} Theme
  * @property {boolean} dark
  * @property {Rgb} paper of panels

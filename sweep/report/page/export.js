@@ -1,7 +1,7 @@
 // Exports: pictures of views, the filtered rows as CSV, a replay as a video.
 import { pointId } from "./data.js";
 import { drawLegendSymbol, LEGEND_SYMBOL } from "./charts.js";
-import { byId, makeButton, element, recorders, resolution, shortenToFit } from "./dom.js";
+import { byId, makeButton, element, recorders, resolution, shortenToFit, wrapToFit } from "./dom.js";
 import { formatCount } from "./numbers.js";
 import { VectorPen } from "./vector.js";
 
@@ -11,6 +11,7 @@ import { VectorPen } from "./vector.js";
  * What stands above a saved picture: the study and the view, the selection, and the legend of kinds.
  * @typedef {object} Head
  * @property {string} title
+ * @property {string[]} setup lines: scenario, robot, engine, design and number of rollouts
  * @property {string} selection
  * @property {{ kind: number, text: string, x: number, y: number }[]} entries
  * @property {number} height CSS pixels
@@ -18,7 +19,8 @@ import { VectorPen } from "./vector.js";
 
 const PICTURE_RATIO = 2; // pixels of a PNG picture for each CSS pixel
 const HEAD_FONTS = ["bold 14px sans-serif", "12px sans-serif"]; // of the title, and of what follows
-const LEGENDED = "#curves, #map-base, #lines-base, #stages"; // views whose colours are those of kinds
+const [HEAD_TOP, HEAD_LINE] = [6, 18]; // CSS pixels above the title, and from line to line
+const LEGENDED = "#curves, #estimate-chart, #map-base, #lines-base, #stages"; // views whose colours are those of kinds
 
 /**
  * Let the user download a file.
@@ -74,11 +76,13 @@ function layHead({ table, state }, panel, name, width) {
   pen.font = HEAD_FONTS[0];
   const title = shortenToFit(pen, `${table.about.name}: ${name}`, width - 16);
   pen.font = HEAD_FONTS[1];
+  const setup = wrapToFit(pen, table.about.setup ?? "", width - 16); // pages of earlier versions have none
+  const top = HEAD_TOP + HEAD_LINE * (1 + setup.length); // of the selection
   const filters = [...byId("filters").children].map((one) => (one.textContent ?? "").replace(/ ×$/, ""));
   const selection = shortenToFit(pen, [byId("passing").textContent, ...filters].join("; "), width - 16);
   const counts = new Int32Array(table.about.kinds.length);
   for (let row = 0; row < table.rows; row++) counts[table.kind[row]] += state.mask[row];
-  let [x, y] = [8, 44];
+  let [x, y] = [8, top + HEAD_LINE];
   /** @type {Head["entries"]} */
   const entries = [];
   table.about.kinds.forEach(({ label }, kind) => {
@@ -89,21 +93,21 @@ function layHead({ table, state }, panel, name, width) {
     entries.push({ kind, text, x, y });
     x += room + 16;
   });
-  return { title, selection, entries, height: entries.length ? y + 23 : 46 };
+  return { title, setup, selection, entries, height: (entries.length ? y : top) + 23 };
 }
 
 /** @type {(app: App, head: Head, pen: CanvasRenderingContext2D, ratio: number) => void} */
-function drawHead(app, { title, selection, entries }, pen, ratio) {
+function drawHead(app, { title, setup, selection, entries }, pen, ratio) {
   pen.setTransform(ratio, 0, 0, ratio, 0, 0);
   pen.textBaseline = "top";
   pen.textAlign = "left";
   [pen.fillStyle, pen.font] = [app.theme().ink, HEAD_FONTS[0]];
-  pen.fillText(title, 8, 6);
+  pen.fillText(title, 8, HEAD_TOP);
   [pen.fillStyle, pen.font] = [app.theme().soft, HEAD_FONTS[1]];
-  pen.fillText(selection, 8, 25);
-  pen.fillStyle = app.theme().ink;
+  [...setup, selection].forEach((text, k) => pen.fillText(text, 8, HEAD_TOP + HEAD_LINE * (k + 1)));
   for (const { kind, text, x, y } of entries) {
     drawLegendSymbol(app, pen, x, y, kind, ratio);
+    pen.fillStyle = app.theme().ink;
     pen.fillText(text, x + LEGEND_SYMBOL + 5, y);
   }
 }
@@ -133,7 +137,7 @@ async function panelPng(app, panel, name) {
 }
 
 /**
- * Compose a panel's canvases into one SVG drawing: lines and text stay vectors, cells and marks are images.
+ * Compose a panel's canvases into one SVG drawing: all are vectors, but for maps of very many cells or marks.
  * @type {(app: App, panel: Element, name: string) => Promise<Blob>}
  */
 async function panelSvg(app, panel, name) {

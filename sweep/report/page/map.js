@@ -18,12 +18,15 @@ import {
   KIND,
   markSize,
   paintCells,
+  drawVectorCells,
+  drawVectorMarks,
   paintDensity,
   paintMarks,
   RATE,
   colourRange,
   rowPosition,
 } from "./map_fill.js";
+import { MAX_VECTORS, isVectorPen } from "./marks.js";
 import { clamp, formatCount, packRgb, scaleColour, formatShort } from "./numbers.js";
 import { GLYPH_SIZE, rowNear, makePixels } from "./raster.js";
 import {
@@ -151,11 +154,15 @@ export function mapView(app) {
     }
     const filtered = state.passing < table.rows;
     if (density && counts) paintDensity(app, pixels, here, density, counts, filtered);
-    if (!density || filtered) {
-      if (here.form === "cells") paintCells(app, pixels, here, selects[2].value, ratio);
-      else paintMarks(app, pixels, here, selects[2].value, ratio);
+    const by = selects[2].value;
+    const isImage = density || !isVectorPen(sheet.pen) || here.rows.length > MAX_VECTORS;
+    if (isImage && (!density || filtered)) {
+      if (here.form === "cells") paintCells(app, pixels, here, by, ratio);
+      else paintMarks(app, pixels, here, by, ratio);
     }
-    sheet.pen.putImageData(pixels.image, Math.round(area.left * ratio), Math.round(area.top * ratio));
+    if (isImage) sheet.pen.putImageData(pixels.image, Math.round(area.left * ratio), Math.round(area.top * ratio));
+    else if (here.form === "cells") drawVectorCells(app, sheet.pen, here, by, area);
+    else drawVectorMarks(app, sheet.pen, here, by, area);
     drawOutlines(app, sheet.pen, here, area);
     const [x, y] = columns();
     drawAnalyticLimits(app, sheet.pen, x, y, here, area);

@@ -1,5 +1,7 @@
 // Filling of a map: cells, marks or densities, in the colours of kinds, rates or metrics.
 import { arcsinh, clamp, mixColours, packRgb, scaleColour } from "./numbers.js";
+import { cssColour } from "./dom.js";
+import { fillKindCell, fillMark } from "./marks.js";
 import { fillCell, makeGlyph, paintKind, drawStamp, makeStamp } from "./raster.js";
 
 /** @import { Box } from "./axes.js" */
@@ -7,12 +9,13 @@ import { fillCell, makeGlyph, paintKind, drawStamp, makeStamp } from "./raster.j
 /** @import { Binned, Column } from "./data.js" */
 /** @import { Rgb } from "./dom.js" */
 /** @import { App } from "./main.js" */
-/** @import { Pixels } from "./raster.js" */
+/** @import { Edges, Pixels } from "./raster.js" */
 
 export const KIND = "kind";
 export const RATE = "rate";
 const GAPPED = 6; // CSS pixels of a cell from which it has a gap
 export const GLYPHED = 13; // CSS pixels of a cell from which it has a glyph
+const [HALO_RADIUS, HALO_OPACITY] = [2.4, 0.7]; // CSS pixels of a mark's radius from which it has a halo
 const FADED_SHARE = 0.86; // by which rows that do not pass the filters fade
 
 /**
@@ -76,15 +79,30 @@ function makeRowColour({ table, state }, here, by) {
   };
 }
 
-/** @type {(app: App, pixels: Pixels, here: PlacedRows, by: string, ratio: number) => void} */
-export function paintCells(app, pixels, here, by, ratio) {
+/**
+ * A cell of the map: its row, its edges in pixels, and what fills it: the look of a kind, or a packed colour.
+ * @typedef {object} PlacedCell
+ * @property {number} row
+ * @property {Edges} box
+ * @property {boolean} glyphed whether it has room for a glyph
+ * @property {number} kind -1 for a cell of one colour
+ * @property {number} colour
+ */
+
+/**
+ * Call a function with each cell.
+ * @param {App} app
+ * @param {PlacedRows} here
+ * @param {string} by
+ * @param {{ width: number, height: number }} size of the map, in pixels
+ * @param {number} ratio pixels for each CSS pixel
+ * @param {(cell: PlacedCell) => void} use
+ */
+function forEachCell(app, here, by, { width, height }, ratio, use) {
   const { table, state } = app;
   const { paper } = app.theme();
-  const looks = app.looks();
-  const faded = looks.map((look) => packRgb(...mixColours(look.cell, paper, FADED_SHARE)));
-  const glyphs = looks.map((look) => makeGlyph(look, ratio));
+  const faded = app.looks().map((look) => packRgb(...mixColours(look.cell, paper, FADED_SHARE)));
   const colour = makeRowColour(app, here, by);
-  const { width, height } = pixels;
   const gap = here.outlines.length ? 0 : 1;
   const empty = packRgb(...mixColours(paper, [128, 128, 128], 0.12));
   for (let k = 0; k < here.rows.length; k++) {
@@ -98,40 +116,100 @@ export function paintCells(app, pixels, here, by, ratio) {
     const space = least >= GAPPED ? gap : 0;
     const box = { left, top, right: right - space, bottom: bottom - space };
     const passes = state.mask[row] > 0;
-    if (passes && !colour) {
-      paintKind(pixels, box, looks[kind], least >= GLYPHED ? glyphs[kind] : null, row, ratio);
-      continue;
-    }
     const shown = colour ? (passes && colour(k)) || empty : faded[kind];
-    fillCell(pixels, left, top, box.right, box.bottom, shown, row, null, 0, ratio);
+    use({ row, box, glyphed: least >= GLYPHED, kind: passes && !colour ? kind : -1, colour: shown });
   }
 }
 
 /** @type {(app: App, pixels: Pixels, here: PlacedRows, by: string, ratio: number) => void} */
-export function paintMarks(app, pixels, here, by, ratio) {
+export function paintCells(app, pixels, here, by, ratio) {
+  const looks = app.looks();
+  const glyphs = looks.map((look) => makeGlyph(look, ratio));
+  forEachCell(app, here, by, pixels, ratio, ({ row, box, glyphed, kind, colour }) => {
+    if (kind >= 0) paintKind(pixels, box, looks[kind], glyphed ? glyphs[kind] : null, row, ratio);
+    else fillCell(pixels, box.left, box.top, box.right, box.bottom, colour, row, null, 0, ratio);
+  });
+}
+
+/**
+ * Draw cells as paths.
+ * @type {(app: App, pen: CanvasRenderingContext2D, here: PlacedRows, by: string, area: Box) => void}
+ */
+export function drawVectorCells(app, pen, here, by, area) {
+  const looks = app.looks();
+  forEachCell(app, here, by, area, 1, ({ box, glyphed, kind, colour }) => {
+    const [x, y] = [area.left + box.left, area.top + box.top];
+    const [width, height] = [box.right - box.left, box.bottom - box.top];
+    if (kind >= 0) return fillKindCell(pen, x, y, width, height, looks[kind], glyphed);
+    pen.fillStyle = cssColour([colour & 255, (colour >> 8) & 255, (colour >> 16) & 255]);
+    pen.fillRect(x, y, width, height);
+  });
+}
+
+/**
+ * A mark of the map: a row with its place, as shares of the map's size, and its look.
+ * @typedef {object} PlacedMark
+ * @property {number} row
+ * @property {number} kind
+ * @property {number} across
+ * @property {number} up
+ * @property {boolean} passes whether the row passes the filters
+ * @property {Rgb} rgb
+ * @property {number} opacity
+ */
+
+/**
+ * Call a function with each mark, those that do not pass the filters first.
+ * @type {(app: App, here: PlacedRows, by: string, use: (mark: PlacedMark) => void) => void}
+ */
+function forEachMark(app, here, by, use) {
   const { table, state } = app;
   const { paper } = app.theme();
   const looks = app.looks();
-  const radius = markSize(here) * ratio;
-  const stamps = looks.map((look) => makeStamp(look.shape, radius));
-  const halos = radius > 2.4 * ratio ? looks.map((look) => makeStamp(look.shape, radius + ratio)) : null;
   const colour = makeRowColour(app, here, by);
   const opacity = clamp(120 / Math.sqrt(here.rows.length + 1), 0.55, 1);
   const faint = looks.map((look) => mixColours(look.mark, paper, FADED_SHARE));
-  for (const passing of [0, 1])
-    for (let k = 0; k < here.rows.length; k++) {
-      const row = here.rows[k];
-      if (state.mask[row] !== passing) continue;
+  for (const passes of [false, true])
+    here.rows.forEach((row, k) => {
+      if (state.mask[row] > 0 !== passes) return;
       const kind = table.kind[row];
-      const x = here.boxes[4 * k] * pixels.width;
-      const y = (1 - here.boxes[4 * k + 1]) * pixels.height;
       const packed = colour ? colour(k) : 0;
       const own = packed
         ? /** @type {Rgb} */ ([packed & 255, (packed >> 8) & 255, (packed >> 16) & 255])
         : looks[kind].mark;
-      if (passing && halos) drawStamp(pixels, halos[kind], x, y, paper, 0.7, -2);
-      drawStamp(pixels, stamps[kind], x, y, passing ? own : faint[kind], passing ? opacity : 0.5, passing ? row : -2);
-    }
+      const [across, up] = here.boxes.subarray(4 * k, 4 * k + 2);
+      use({ row, kind, across, up, passes, rgb: passes ? own : faint[kind], opacity: passes ? opacity : 0.5 });
+    });
+}
+
+/** @type {(app: App, pixels: Pixels, here: PlacedRows, by: string, ratio: number) => void} */
+export function paintMarks(app, pixels, here, by, ratio) {
+  const { paper } = app.theme();
+  const looks = app.looks();
+  const radius = markSize(here) * ratio;
+  const stamps = looks.map((look) => makeStamp(look.shape, radius));
+  const halos = radius > HALO_RADIUS * ratio ? looks.map((look) => makeStamp(look.shape, radius + ratio)) : null;
+  forEachMark(app, here, by, ({ row, kind, across, up, passes, rgb, opacity }) => {
+    const [x, y] = [across * pixels.width, (1 - up) * pixels.height];
+    if (passes && halos) drawStamp(pixels, halos[kind], x, y, paper, HALO_OPACITY, -2);
+    drawStamp(pixels, stamps[kind], x, y, rgb, opacity, passes ? row : -2);
+  });
+}
+
+/**
+ * Draw the marks as paths.
+ * @type {(app: App, pen: CanvasRenderingContext2D, here: PlacedRows, by: string, area: Box) => void}
+ */
+export function drawVectorMarks(app, pen, here, by, area) {
+  const { paper } = app.theme();
+  const looks = app.looks();
+  const radius = markSize(here);
+  forEachMark(app, here, by, ({ kind, across, up, passes, rgb, opacity }) => {
+    const [x, y] = [area.left + across * area.width, area.top + (1 - up) * area.height];
+    const { shape } = looks[kind];
+    if (passes && radius > HALO_RADIUS) fillMark(pen, shape, x, y, radius + 1, paper, HALO_OPACITY);
+    fillMark(pen, shape, x, y, radius, rgb, opacity);
+  });
 }
 
 /**

@@ -53,6 +53,8 @@ export class VectorPen {
   parts = [];
   /** @type {Set<Gradient>} */
   gradients = new Set();
+  /** @type {Map<string, string>} names of marks by their paths */
+  marks = new Map();
 
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
@@ -61,7 +63,8 @@ export class VectorPen {
 
   /** @returns {string} all that was drawn since it was cleared */
   text() {
-    const defs = [...this.gradients].map((one) => one.text + one.end).join("");
+    const marks = [...this.marks].map(([path, name]) => `<path id="${name}" d="${path}"/>`);
+    const defs = [...this.gradients].map((one) => one.text + one.end).join("") + marks.join("");
     const last = [...new Set(this.parts.reverse())].reverse(); // a frame that is drawn repeatedly is kept once
     return `<defs>${defs}</defs>${last.join("\n")}`;
   }
@@ -176,6 +179,20 @@ export class VectorPen {
 
   stroke() {
     if (this.path) this.add(`<path d="${this.path}" fill="none"${this.line()}`);
+  }
+
+  /**
+   * Fill a mark: a polygon whose corners for a radius of one are x and y in turn, y up. Marks of one shape and size share
+   * their path.
+   * @type {(shape: number[], x: number, y: number, radius: number) => void}
+   */
+  fillMark(shape, x, y, radius) {
+    const corners = shape.map((value, k) => formatCoordinate(radius * (k % 2 ? -value : value)));
+    const path = `M${corners.join(" ")}Z`;
+    const name = this.marks.get(path) ?? `mark${named++}`;
+    this.marks.set(path, name);
+    const place = `x="${formatCoordinate(x)}" y="${formatCoordinate(y)}"`;
+    this.add(`<use href="#${name}" ${place} fill="${this.paint(this.fillStyle)}"`);
   }
 
   /** @type {(x: number, y: number, width: number, height: number) => void} */

@@ -174,9 +174,10 @@ class Hexapod:
         return replace(settings, name=name, solid=settings.solid and name == "native")
 
     def settings_summary(self, settings: EngineSettings) -> dict[str, str]:
-        """Return manoeuvre, obstacle, engine, time step and precision as texts for readers of a report, by name."""
-        about = {"manoeuvre": self.case.manoeuvre.kind, "obstacle": self.case.obstacle.kind, "engine": settings.name}
-        return {**about, "step": f"{1000 * settings.time_step_s:g} ms", "precision": settings.precision}
+        """Return robot, manoeuvre, obstacle, engine and its settings as texts for readers of a report, by name."""
+        about = {"robot": "hexapod", "manoeuvre": self.case.manoeuvre.kind, "obstacle": self.case.obstacle.kind}
+        step = f"{1000 * settings.time_step_s:g} ms"
+        return {**about, "engine": settings.name, "step": step, "precision": settings.precision}
 
     def parameter(self, column: str, settings: EngineSettings) -> Parameter:
         """Return unit, bounds and default of a parameter of robot, obstacle, manoeuvre, engine settings or plan."""
