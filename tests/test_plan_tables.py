@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 from dataclasses import replace
 from functools import partial
 
@@ -9,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import yaml
 from recorded import without_forces
 
 from sweep.cli.main import main
@@ -19,6 +21,7 @@ from sweep.fused.eager import evaluate_constants
 from sweep.models.plan_numbers import PlanTable
 from sweep.planning.plan_table import (
     GROUP,
+    ORIGINS,
     evaluate_plan,
     find_overrides,
     formula_values,
@@ -155,8 +158,14 @@ def test_rows_have_the_ids_of_their_numbers_whatever_file_they_are_in(lab):
 
 @pytest.mark.parametrize("name", sorted(project.shipped_files(GROUP)))
 def test_a_shipped_plan_says_where_its_numbers_come_from(name):
-    (said,) = re.findall(r"^# Numbers: .*(?:\n# .*)*", project.shipped_files(GROUP)[name].read_text(), re.M)
-    assert re.search("by hand|none of its own|not kept|sweep tune ", said)
+    text = project.shipped_files(GROUP)[name].read_text()
+    assert len(re.findall(r"^# Numbers: ", text, re.M)) == 1
+    searched = yaml.safe_load(text)["searched"]
+    assert searched["origin"] in ORIGINS
+    if searched["origin"] == "command":
+        words = shlex.split(searched["command"])
+        assert words[:2] == ["sweep", "tune"]
+        assert any(word.startswith("study.seed=") for word in words)
 
 
 def same(one, other):

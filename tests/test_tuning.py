@@ -422,3 +422,6 @@ def test_malformed_ranges_of_a_search_are_refused(ranges, told, tmp_path, monkey
     (tmp_path / "mine.yaml").write_text(f"extends: pole_top\nsearched: {{ranges: {ranges}}}\n")
     assert main(["run", "scenario=pole_top", "plan=mine.yaml"]) == 2
     assert f"plan.searched.ranges.{told}" in capsys.readouterr().err
+    (tmp_path / "mine.yaml").write_text("extends: pole_top\nsearched: {origin: found}\n")
+    assert main(["run", "scenario=pole_top", "plan=mine.yaml"]) == 2
+    assert "plan.searched.origin is unknown" in capsys.readouterr().err

@@ -28,7 +28,7 @@ from sweep.core.files import write_atomically
 from sweep.core.provenance import search_version
 from sweep.models.case import Case
 from sweep.planning import plan_table
-from sweep.planning.plan_table import COMMAND, RANGES, SEARCHED, SLOPES, Content
+from sweep.planning.plan_table import BY_COMMAND, COMMAND, ORIGIN, RANGES, SEARCHED, SLOPES, Content
 from sweep.planning.score import (
     EQUAL_DEFICIT,
     MANOEUVRE,
@@ -118,7 +118,7 @@ def tune_plan(args: argparse.Namespace) -> int:
     settings = [f"{path}={found.pop(path):g}" for path in own if path in found]
     head += ["to be run with " + " ".join(settings)] if settings else []
     content = add_size_slopes(tuned_plan_content(case, found), steps, slopes, sizes)
-    searched = {COMMAND: f"sweep tune {shlex.join(args.words)}", RANGES: searched_ranges(exp)}
+    searched = {ORIGIN: BY_COMMAND, COMMAND: f"sweep tune {shlex.join(args.words)}", RANGES: searched_ranges(exp)}
     content = {SEARCHED: searched, **content}
     write_atomically(where, format_plan_file(case, content, head).encode())
     if settings:

@@ -34,7 +34,12 @@ SLOPES, AT = "slopes", "at"  # the part that says how numbers follow sizes; its 
 WAY = "way"  # the line that says how the whole is gone: `forth` if there is none
 FORTH, BACK, _ = DIRECTIONS = ("forth", "back", "there_and_back")
 SIZES = "sizes"  # the part whose numbers formulas name
-SEARCHED, COMMAND, RANGES = "searched", "command", "ranges"  # the part that says how the numbers were found; its keys
+# the part that says how the numbers were found; its keys
+SEARCHED, ORIGIN, COMMAND, RANGES = "searched", "origin", "command", "ranges"
+# what made a plan's numbers: a person; `command`, at least the last of them; a program or command that is lost,
+# at least some of them; the plans that it extends
+BY_COMMAND = "command"
+ORIGINS = ("hand", BY_COMMAND, "lost", "extended")
 REPEAT, TIMES = "repeat", "k"  # the line that says how often a part is made; how often it was, in its formulas
 BESIDE = (SLOPES, WAY, SIZES)  # keys of no part of moves or of a manoeuvre's numbers
 SIZED = ("robot", "obstacle")  # groups whose sizes numbers may follow
@@ -70,6 +75,8 @@ def refuse_malformed(content: Content) -> None:
         elif not isinstance(value, str | bool | None):
             check_value(ANY, value, path)
 
+    origin = content.get(SEARCHED, {}).get(ORIGIN, BY_COMMAND)
+    require_choice(origin, ORIGINS, f"{GROUP}.{SEARCHED}.{ORIGIN}")
     wanted(
         Mapping, ranges := content.get(SEARCHED, {}).get(RANGES, {}), f"{GROUP}.{SEARCHED}.{RANGES}", "sizes by path"
     )
