@@ -16,6 +16,7 @@ from sweep.contract.trace_frames import base_body_id, count_finite_frames, joint
 from sweep.core.files import decode_text, encode_text
 from sweep.replay.height_fields import sample_height_field
 from sweep.replay.hulls import geom_hull
+from sweep.replay.meshes import simplify_meshes
 from sweep.replay.model_geoms import VISIBLE_GROUPS, geom_color
 
 MAX_RATE = 10.0  # frames per second, at most
@@ -211,8 +212,9 @@ def describe_bodies(model: mujoco.MjModel, legs: int, way: np.ndarray | None = N
 
     Returns:
         `bodies`: index of the parent, position and quaternion in it, and joints, see `describe_joint`. `geoms`: body,
-        shape, size (of a mesh: vertices and faces; of a height field: see `describe_height_field`), position,
-        quaternion, colour, and whether it is the robot's.
+        shape, size (of a mesh: its number in `meshes`; of a convex hull: vertices and faces; of a height field: see
+        `describe_height_field`), position, quaternion, colour, and whether it is the robot's. `meshes`: vertices (m)
+        and triangles, see `simplify_meshes`.
         `feet`: body and position of each foot. `hinges`: addresses of the `hinge_and_slide_joints` in `qpos`, and
         `hinge_names` their names.
     """
@@ -220,6 +222,8 @@ def describe_bodies(model: mujoco.MjModel, legs: int, way: np.ndarray | None = N
     drawn = [g for g in range(model.ngeom) if model.geom_group[g] < VISIBLE_GROUPS and model.geom_rgba[g, 3] > 0]
     drawn = [g for g in drawn if Kind(model.geom_type[g]) not in HIDDEN_GEOMS]
     feet = [model.site(f"foot{leg}") for leg in range(1, legs + 1)]
+    meshes = simplify_meshes(model, [g for g in drawn if model.geom_type[g] == Kind.mjGEOM_MESH])
+    numbers = {mesh: number for number, mesh in enumerate(meshes)}
     return {
         "bodies": [
             {
@@ -239,9 +243,13 @@ def describe_bodies(model: mujoco.MjModel, legs: int, way: np.ndarray | None = N
                 "pos": round_values(model.geom_pos[geom]),
                 "quat": round_values(model.geom_quat[geom]),
                 "colour": [round(255 * float(part)) for part in geom_color(model, geom)[:3]],
-                **describe_geom_shape(model, geom, way),
+                **describe_geom_shape(model, geom, way, numbers),
             }
             for geom in drawn
+        ],
+        "meshes": [
+            {"vertices": [round_values(v) for v in mesh.vertices], "faces": mesh.faces.tolist()}
+            for mesh in meshes.values()
         ],
         "feet": [[int(site.bodyid[0]), *round_values(site.pos)] for site in feet],
         "hinges": model.jnt_qposadr[hinge_and_slide_joints(model)].tolist(),
@@ -272,19 +280,24 @@ def describe_joint(model: mujoco.MjModel, number: int) -> list[float]:
             return [address, *axis, *anchor, *([start] if start else [])]
 
 
-def describe_geom_shape(model: mujoco.MjModel, geom: int, way: np.ndarray | None = None) -> dict[str, Any]:
+def describe_geom_shape(
+    model: mujoco.MjModel, geom: int, way: np.ndarray | None, meshes: dict[int, int]
+) -> dict[str, Any]:
     """Describe shape and size (m) of a geom for the page; shapes that the page cannot draw become their convex hull.
 
     Args:
         model: The MuJoCo model.
         geom: Id of the geom.
         way: See `describe_bodies`.
+        meshes: Number of each mesh in the list `meshes`, by its id.
     """
     kind = Kind(model.geom_type[geom])
     if kind == Kind.mjGEOM_HFIELD:
         return {"shape": "field", **describe_height_field(model, geom, way)}
     if kind in SHAPES:
         return {"shape": SHAPES[kind], "size": round_values(model.geom_size[geom])}
+    if kind == Kind.mjGEOM_MESH:
+        return {"shape": "mesh", "mesh": meshes[int(model.geom_dataid[geom])]}
     vertices, faces = geom_hull(model, geom)
     return {"shape": "mesh", "vertices": [round_values(v) for v in vertices], "faces": faces}
 

@@ -1027,6 +1027,28 @@ def test_bodies_are_where_mujoco_has_them(shown, trace, feet):
     assert np.abs(np.array(found) - body_places(trace, frame)).max() < 3e-3
 
 
+RING = """<mujoco><asset><mesh name="ring" builtin="supertorus" params="24 0.2 1 1" scale=".5 .5 .5"/></asset>
+<worldbody><body pos="0 0 1"><freejoint/><geom type="mesh" mesh="ring" rgba="1 0 0 1" zaxis="1 0 0"/>
+<geom size=".12" rgba="0 0 1 1" pos="-.5 0 0"/></body></worldbody></mujoco>"""
+
+
+def test_one_sees_through_the_hole_of_a_mesh(shown):
+    """A red ring before a blue ball, which neither hides the other whole nor is painted over it."""
+    model = mujoco.MjModel.from_xml_string(RING)
+    told = {"bodies": describe_bodies(model, 0), "qpos": model.qpos0.tolist()}
+    draw = """const canvas = Object.assign(document.createElement("canvas"), { width: 99, height: 99 });
+        const pen = canvas.getContext("2d", { willReadFrequently: true });
+        const model = withMeshes(told.bodies);
+        const view = { sheet: { pen, width: 99, height: 99 }, eye: [3, 0, 1], focus: 150,
+                       axes: [[0, 1, 0], [0, 0, 1], [-1, 0, 0]] };
+        const light = { direction: [0, 0, 1], sun: 0.5, scale: 1 };
+        drawSurfaces(view, model.geoms, bodyPoses(model, Float64Array.from(told.qpos)), light, null);
+        return Array.from(pen.getImageData(0, 49, 99, 1).data)"""
+    row = np.reshape(by_script(shown, told, draw), (99, 4))
+    seen = "".join({(0, 0, 0): " "}.get(tuple(one > 60 for one in rgb), "rb"[int(rgb[2] > rgb[0])]) for *rgb, _ in row)
+    assert re.fullmatch(r" +r{5,} *b{5,} *r{5,} +", seen)
+
+
 def places_by_script(browser, told, frame):
     return by_script(
         browser,
@@ -1042,7 +1064,8 @@ def by_script(browser, told, code):
     from sweep.report.page.script import EXPORT_KEYWORD, IMPORT_LINE
 
     source = files("sweep.report.page")
-    names = ("numbers.js", "data.js", "axes.js", "contour.js", "kinematics.js", "path.js")
+    names = ("numbers.js", "data.js", "axes.js", "contour.js", "kinematics.js", "path.js", "solids.js")
+    names += ("surface.js", "depth.js")
     modules = "\n".join(EXPORT_KEYWORD.sub("", IMPORT_LINE.sub("", (source / name).read_text())) for name in names)
     return browser.run(f"""(async () => {{ {modules}
         const told = {json.dumps(told)};

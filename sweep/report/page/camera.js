@@ -4,7 +4,7 @@ import { clamp } from "./numbers.js";
 import { basePosition, obstacleSolids } from "./scene.js";
 import { hides, makeSolid } from "./solids.js";
 
-/** @import { Model } from "./kinematics.js" */
+/** @import { Geom, Model } from "./kinematics.js" */
 /** @import { Reel } from "./player.js" */
 
 export const START_VIEW = { azimuth: -0.75, elevation: 0.36 };
@@ -51,5 +51,6 @@ export function leastHiddenAngle(reel) {
  */
 export function robotSize(model) {
   const parts = model.geoms.filter((geom) => geom.robot);
-  return parts.reduce((most, geom) => Math.max(most, ...(geom.size ?? (geom.vertices ?? []).flat())), 0);
+  const sizes = (/** @type {Geom} */ { size, vertices = [] }) => size ?? vertices.flat();
+  return parts.reduce((most, geom) => sizes(geom).reduce((a, b) => Math.max(a, b), most), 0);
 }

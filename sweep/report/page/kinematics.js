@@ -19,6 +19,7 @@
  * @property {[number, number, number]} colour
  * @property {"plane" | "sphere" | "capsule" | "cylinder" | "box" | "mesh" | "field"} shape
  * @property {number[]} [size]
+ * @property {number} [mesh] number among the model's meshes
  * @property {number[][]} [vertices]
  * @property {number[][]} [faces]
  * @property {number[]} [x] of a height field's points
@@ -31,9 +32,19 @@
  * @property {Body[]} bodies
  * @property {Geom[]} geoms
  * @property {number[][]} feet
+ * @property {{ vertices: number[][], faces: number[][] }[]} [meshes] missing in replays of earlier versions
  * @property {number[]} hinges addresses of hinges and slides
  * @property {string[]} [hinge_names] missing in replays of earlier versions
  */
+
+/**
+ * Give geoms the vertices and faces of their meshes.
+ * @type {(model: Model) => Model}
+ */
+export function withMeshes(model) {
+  const geoms = model.geoms.map((geom) => (geom.mesh === undefined ? geom : { ...geom, ...model.meshes?.[geom.mesh] }));
+  return { ...model, geoms };
+}
 
 /** @typedef {{ body: number, point: number[], force: number[], start: number, end: number }} Push N and s */
 /** @typedef {{ title: string, names: string[], lines: Float64Array[], resolution: number }} Signal */

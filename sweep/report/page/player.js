@@ -2,7 +2,7 @@
 import { clipName, inflate, nearestReplay } from "./data.js";
 import { byId, cssColour, element, shortenToFit, pointerPosition, prepareCanvas } from "./dom.js";
 import { historyView } from "./history.js";
-import { endTime, frameAt, bodyPoses, readMotion, stateAt } from "./kinematics.js";
+import { endTime, frameAt, bodyPoses, readMotion, stateAt, withMeshes } from "./kinematics.js";
 import { clamp, formatShort } from "./numbers.js";
 import { recordVideo } from "./export.js";
 import { basePosition, drawForces, drawPushes, drawRobot, drawWorld, makeView } from "./scene.js";
@@ -89,7 +89,9 @@ export function makePlayer(app) {
 
   /** @type {(number: number) => Promise<Reel>} */
   const reelOf = (number) => {
-    models ??= inflate(table.about.models).then((buffer) => JSON.parse(new TextDecoder().decode(buffer)));
+    models ??= inflate(table.about.models).then((buffer) =>
+      JSON.parse(new TextDecoder().decode(buffer)).map(withMeshes),
+    );
     const known = reels.get(number);
     if (known) return known;
     const shown = replays[number];

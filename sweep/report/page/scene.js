@@ -2,10 +2,13 @@
 import { cssColour, drawLine } from "./dom.js";
 import { dot, addScaled, rotateVector } from "./kinematics.js";
 import { clamp, formatShort, mixColours } from "./numbers.js";
-import { sortBackToFront, hides, isLink, makeSolid } from "./solids.js";
+import { drawSurfaces } from "./depth.js";
+import { sortBackToFront, geomPose, hides, isLink, makeSolid } from "./solids.js";
+import { geomSurface } from "./surface.js";
 
 /** @import { Rgb, Sheet, Theme } from "./dom.js" */
 /** @import { Geom, Model, Pose, Push } from "./kinematics.js" */
+/** @import { Light } from "./depth.js" */
 /** @import { Solid } from "./solids.js" */
 
 /** @typedef {{ azimuth: number, elevation: number, distance: number, target: number[] }} Camera angles in rad */
@@ -25,7 +28,7 @@ const NEAR_PLANE = 0.05; // m, distance of the near clipping plane
 const LIGHT = [0.36, -0.48, 0.8]; // direction towards the light
 const LINK_PIECES = 6; // pieces of a link, each sorted by depth on its own
 const GRID_STEP = 0.5; // m
-const FIELD_LINES = 0.06; // how much darker the edges of a height field's cells are
+const SHADOW_POINTS = 60; // points of a surface that its shadow is drawn by
 const GROUND_RADIUS = 12; // m of ground drawn around the target
 const SUN_SHARE = 0.55; // share of a face's colour that depends on the light
 const PUSH_SHOWN = 0.15; // s before and after a push that its arrow is shown
@@ -120,6 +123,17 @@ function shade(theme, rgb, normal) {
   return mixColours([0, 0, 0], rgb, clamp(share * (theme.dark ? 0.8 : 1.04), 0, 1));
 }
 
+/** @type {(theme: Theme) => Light} */
+const lightOf = (theme) => ({ direction: LIGHT, sun: SUN_SHARE, scale: theme.dark ? 0.8 : 1 });
+
+/**
+ * Whether a model has surfaces that are not convex, which need a depth buffer.
+ * @type {(model: Model) => boolean}
+ */
+export function hasSurfaces({ geoms }) {
+  return geoms.some(({ shape, mesh }) => shape === "field" || mesh !== undefined);
+}
+
 /**
  * Draw sky, ground, obstacles and robot.
  * @param {View} view
@@ -128,11 +142,21 @@ function shade(theme, rgb, normal) {
  * @param {number[]} target around which the ground fades
  */
 export function drawWorld(view, model, poses, target) {
-  const solids = model.geoms.filter((geom) => geom.shape !== "field").map((geom) => makeSolid(geom, poses[geom.body]));
-  const grounds = solids.filter((solid) => solid.geom.shape === "plane");
   drawSky(view);
+  if (hasSurfaces(model)) {
+    const rest = model.geoms.filter(({ shape }) => shape !== "plane");
+    for (const geom of model.geoms) {
+      if (geom.shape !== "plane") continue;
+      const ground = makeSolid(geom, poses[geom.body]);
+      drawGround(view, ground, target);
+      drawSurfaceShadow(view, ground, rest, poses);
+    }
+    drawSurfaces(view, rest, poses, lightOf(view.theme), null);
+    return;
+  }
+  const solids = model.geoms.map((geom) => makeSolid(geom, poses[geom.body]));
+  const grounds = solids.filter((solid) => solid.geom.shape === "plane");
   for (const ground of grounds) drawGround(view, ground, target);
-  for (const geom of model.geoms) if (geom.shape === "field") drawField(view, geom, poses[geom.body]);
   const bodies = solids.filter((solid) => solid.geom.shape !== "plane" && !isLink(solid.geom));
   const links = solids.filter((solid) => isLink(solid.geom));
   for (const ground of grounds) drawShadows(view, ground, [...links, ...bodies.filter((b) => b.geom.robot)]);
@@ -144,6 +168,11 @@ export function drawWorld(view, model, poses, target) {
  * @type {(view: View, model: Model, poses: Pose[], tint: Rgb) => void}
  */
 export function drawRobot(view, model, poses, tint) {
+  if (hasSurfaces(model)) {
+    const robot = model.geoms.filter((geom) => geom.robot);
+    drawSurfaces(view, robot, poses, lightOf(view.theme), tint);
+    return;
+  }
   const solids = model.geoms.map((geom) => makeSolid(geom, poses[geom.body]));
   const links = solids.filter((solid) => isLink(solid.geom));
   const bodies = solids.filter((solid) => solid.geom.robot && !isLink(solid.geom));
@@ -195,42 +224,6 @@ function drawSky({ sheet, theme }) {
   sky.addColorStop(0.75, low);
   pen.fillStyle = sky;
   pen.fillRect(0, 0, width, height);
-}
-
-/**
- * Draw a height field by its cells, from back to front.
- * @type {(view: View, geom: Geom, pose: Pose) => void}
- */
-function drawField(view, geom, pose) {
-  const { x = [], y = [], heights = [], colour } = geom;
-  const { pos, turn } = makeSolid(geom, pose);
-  const corners = heights.map((z, k) =>
-    addScaled(pos, rotateVector(turn, [x[k % x.length], y[Math.floor(k / x.length)], z])),
-  );
-  const cells = [];
-  for (let j = 0; j + 1 < y.length; j++)
-    for (let i = 0; i + 1 < x.length; i++) {
-      const k = j * x.length + i;
-      const points = [corners[k], corners[k + 1], corners[k + x.length + 1], corners[k + x.length]];
-      const middle = points.reduce((sum, point) => addScaled(sum, point, 0.25), [0, 0, 0]);
-      cells.push({ points, depth: toCameraAxes(view, middle)[2] });
-    }
-  view.sheet.pen.lineWidth = 1;
-  for (const { points } of cells.sort((a, b) => b.depth - a.depth)) {
-    const fill = shade(view.theme, colour, cellNormal(points));
-    drawPolygon(view, points, cssColour(fill), cssColour(mixColours(fill, [0, 0, 0], FIELD_LINES)));
-  }
-}
-
-/**
- * Upward unit normal of a cell, from its diagonals.
- * @type {(points: number[][]) => number[]}
- */
-function cellNormal([a, b, c, d]) {
-  const [p, q] = [addScaled(c, a, -1), addScaled(d, b, -1)];
-  const cross = [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]];
-  const size = Math.hypot(...cross) || 1;
-  return cross.map((part) => part / size);
 }
 
 /**
@@ -297,6 +290,55 @@ function drawShadows(view, ground, casting) {
       }
     }
   }
+}
+
+/**
+ * Draw the shadow of all geoms of the robot on a plane, cast along its normal.
+ * @type {(view: View, ground: Solid, geoms: Geom[], poses: Pose[]) => void}
+ */
+function drawSurfaceShadow(view, ground, geoms, poses) {
+  const { pen } = view.sheet;
+  const [right, ahead] = [0, 1].map((k) => [ground.turn[k], ground.turn[3 + k], ground.turn[6 + k]]);
+  pen.beginPath();
+  for (const geom of geoms) {
+    if (!geom.robot) continue;
+    const { pos, turn } = geomPose(geom, poses[geom.body]);
+    const { points } = geomSurface(geom);
+    const every = Math.max(1, Math.floor(points.length / 3 / SHADOW_POINTS));
+    /** @type {[number, number][]} */
+    const fallen = [];
+    for (let k = 0; k < points.length; k += 3 * every) {
+      const offset = addScaled(addScaled(pos, rotateVector(turn, points.subarray(k, k + 3))), ground.pos, -1);
+      fallen.push([dot(offset, right), dot(offset, ahead)]);
+    }
+    const rim = planarHull(fallen).map(([x, y]) => addScaled(addScaled(ground.pos, right, x), ahead, y));
+    clipPolygon(view, rim).forEach(({ x, y }, k) => (k ? pen.lineTo(x, y) : pen.moveTo(x, y)));
+    pen.closePath();
+  }
+  pen.fillStyle = cssColour([0, 0, 0], view.theme.dark ? 0.4 : 0.16);
+  pen.fill();
+}
+
+/**
+ * Convex hull of points in a plane, counterclockwise.
+ * @type {(points: [number, number][]) => [number, number][]}
+ */
+function planarHull(points) {
+  const sorted = [...points].sort((a, b) => a[0] - b[0] || a[1] - b[1]);
+  const half = (/** @type {[number, number][]} */ line) => {
+    /** @type {[number, number][]} */
+    const rim = [];
+    for (const [x, y] of line) {
+      for (let k = rim.length; k > 1; k = rim.length) {
+        const [[a, b], [c, d]] = [rim[k - 2], rim[k - 1]];
+        if ((c - a) * (y - b) - (d - b) * (x - a) > 0) break;
+        rim.pop();
+      }
+      rim.push([x, y]);
+    }
+    return rim.slice(0, -1);
+  };
+  return [...half(sorted), ...half(sorted.reverse())];
 }
 
 /** @type {(view: View, solid: Solid, tint: Rgb | null) => void} */

@@ -36,12 +36,20 @@ export function isLink(geom) {
 }
 
 /**
+ * Pose of a geom in world axes by the pose of its body.
+ * @type {(geom: Geom, pose: Pose) => Pose}
+ */
+export function geomPose(geom, pose) {
+  const pos = addScaled(pose.pos, rotateVector(pose.turn, geom.pos));
+  return { pos, turn: multiplyMatrices(pose.turn, rotationMatrix(geom.quat)) };
+}
+
+/**
  * Put a geom into world axes by the pose of its body.
  * @type {(geom: Geom, pose: Pose) => Solid}
  */
 export function makeSolid(geom, pose) {
-  const pos = addScaled(pose.pos, rotateVector(pose.turn, geom.pos));
-  const turn = multiplyMatrices(pose.turn, rotationMatrix(geom.quat));
+  const { pos, turn } = geomPose(geom, pose);
   const world = (/** @type {number[]} */ point) => addScaled(pos, rotateVector(turn, point));
   const faces = isLink(geom) ? [] : geomFaces(geom);
   const placed = faces.map((face) => ({
