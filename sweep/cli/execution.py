@@ -15,6 +15,7 @@ from sweep.analysis.stats import cause_lines, success_rate
 from sweep.cli.exits import DONE, INVALID, UNEXPECTED
 from sweep.cli.run_progress import report_progress
 from sweep.config.experiment import Experiment, build_experiment, compose_values
+from sweep.core import terminal
 from sweep.core.errors import Fault, InputError
 from sweep.core.progress import (
     format_compile_estimate,
@@ -96,7 +97,8 @@ def execute_experiment(exp: Experiment, flags: RunFlags) -> int:
         with show_elapsed_time("tracing which axes enter the simulation"):
             ineffective = axis_effects.describe_unread_axes(exp, points)
         unsearched = describe_unsearched_values(exp, first)
-        print("\n".join([describe_dry_run(job), *unsearched, *ineffective, *map(str, list_failing_levels(exp))]))
+        lines = [describe_dry_run(job), *unsearched, *ineffective, *map(str, list_failing_levels(exp))]
+        terminal.print_markdown("\n".join(lines) + "\n")
         return DONE
     if flags.check:
         return check_axes(exp, first)
@@ -136,7 +138,7 @@ def execute_experiment(exp: Experiment, flags: RunFlags) -> int:
     with show_elapsed_time("looking for axes without an effect"):
         ineffective = axis_effects.describe_ineffective_axes(exp, rows)
     notes = (*describe_unsearched_values(exp, first), *ineffective, *(failing or ()))
-    print("\n".join([summarize_study(exp, rows), *(f"  {line}" for line in notes)]))
+    terminal.print_markdown("\n".join([summarize_study(exp, rows), *(f"  {line}" for line in notes)]) + "\n")
     if exp.study.is_refined:
         print("\n".join(f"refined: {one}" for one in refine.summarize_panels(exp, rows)))
     if exp.study.is_adaptive and complete:
@@ -239,7 +241,7 @@ def execute_single(exp: Experiment, flags: RunFlags) -> int:
     with show_elapsed_time(words):
         rows = runner.run_single_batch(exp)
     remember_duration(what, time.perf_counter() - start)
-    sys.stdout.write(tables.rollout_table(exp, rows.iloc[0]))
+    terminal.print_markdown(tables.rollout_table(exp, rows.iloc[0]))
     if exp.study.expect and exp.settings.name == "native" and (other := experiment_with_small_jitter(exp)):
         with show_elapsed_time(
             f"simulating {exp.scenario} {other.study.max_rollouts} times to judge its expectations on the native engine"

@@ -11,7 +11,7 @@ from itertools import groupby
 
 MAX_UNBROKEN_WIDTH = 14  # a cell of at most so many letters is never broken
 COLUMN_GAP = 2  # letters between columns
-HIDDEN_COLUMNS_HINT = "use a wider terminal, or -o FILE for all"
+HIDDEN_COLUMNS_HINT = "use a wider terminal, or `| less -S` for all"
 
 
 def print_markdown(

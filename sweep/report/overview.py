@@ -57,7 +57,7 @@ def describe_folder(folder: Path) -> dict[str, str]:
         "succeed": succeed,
         "invalid": invalid,
         "commit": stored["commit"] or stored["code"],
-        "date": f"{datetime.fromtimestamp(changed_s):%Y-%m-%d %H:%M}",
+        "date": f"{datetime.fromtimestamp(changed_s):%Y-%m-%dT%H:%M}",
     }
 
 

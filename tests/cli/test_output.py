@@ -46,6 +46,7 @@ def test_a_line_break_in_a_condition_is_no_line_of_latex(folder, tmp_path):
 
 
 def test_a_table_fits_the_terminal_and_data_for_programs_stay_whole(folder, monkeypatch, capsys):
+    monkeypatch.setenv("PAGER", "cat")
     told = {}
     for terminal in (False, True):
         monkeypatch.setattr(sys.stdout, "isatty", lambda is_one=terminal: is_one)

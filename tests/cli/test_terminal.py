@@ -10,6 +10,7 @@ from contextlib import suppress
 import pandas as pd
 import pytest
 
+from sweep.cli.commands import make_parser, shipped_command_names
 from sweep.cli.main import main
 from sweep.config import reference
 from sweep.core.terminal import HIDDEN_COLUMNS_HINT, fit_to_width
@@ -61,6 +62,7 @@ def test_a_share_comes_with_its_interval(fake_engine, tmp_path, capsys, monkeypa
     capsys.readouterr()
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     monkeypatch.setenv("COLUMNS", str(WIDTH))
+    monkeypatch.setenv("PAGER", "cat")
     assert main(["stats", str(tmp_path)]) == 0
     told = capsys.readouterr().out
     assert max(map(len, told.splitlines())) <= WIDTH
@@ -82,7 +84,7 @@ def run_in_terminal(*words: str, **environment: str) -> str:
 
 
 def test_the_command_knows_that_it_writes_to_a_terminal():
-    text = run_in_terminal("describe", "outcome")
+    text = run_in_terminal("describe", "outcome", PAGER="cat")
     assert max(map(len, text.splitlines())) <= WIDTH
     assert "─" in text
 
@@ -107,3 +109,19 @@ def test_a_piped_list_is_not_paged():
     done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
     assert done.stdout.startswith("scenario=\n")
     assert "paged:" not in done.stdout
+
+
+def test_help_is_wrapped_and_its_commands_stay_whole(monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+    helps = [make_parser(name).format_help() for name in shipped_command_names()]
+    paragraphs = [line for text in helps for line in text.splitlines() if not line.startswith((" ", "usage"))]
+    assert max(map(len, paragraphs)) <= WIDTH
+    assert any(len(line) > WIDTH for text in helps for line in text.splitlines() if line.startswith("  sweep"))
+
+
+def test_formulas_are_listed_within_the_width(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+    monkeypatch.setenv("PAGER", "cat")
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    assert main(["formula"]) == 0
+    assert max(map(len, capsys.readouterr().out.splitlines())) <= WIDTH

@@ -16,6 +16,7 @@ import shutil
 import textwrap
 from functools import cache
 from importlib import import_module, metadata
+from itertools import groupby
 from pkgutil import iter_modules
 from typing import cast
 
@@ -23,6 +24,7 @@ from sweep.cli.command import Command, CommandModule, Section
 from sweep.core.arguments import Arguments
 from sweep.core.errors import USER_CODE_ERRORS, InputError, escape_control_characters, format_user_exception
 from sweep.core.files import printable_name
+from sweep.core.terminal import wrap_line
 from sweep.core.version import VERSION
 
 ENTRY_POINTS = "sweep.commands"
@@ -91,7 +93,7 @@ def make_parser(name: str) -> Arguments:
         prog=f"sweep {name}",
         description=about.help,
         epilog=f"example:\n  {about.example}" if about.example else None,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=HelpFormatter,
     )
     command.add_arguments(parser)
     return parser
@@ -103,12 +105,23 @@ def make_overview_parser() -> Arguments:
         prog="sweep",
         usage="sweep [-h] [--version] command ...",
         description="Batch experiments with six-legged robots.",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=HelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"sweep {VERSION}")
     parser.add_argument("command", choices=command_names(), metavar="command", help="one of those below")
     parser.add_argument("words", nargs=argparse.REMAINDER, help=argparse.SUPPRESS).required = False
     return parser
+
+
+class HelpFormatter(argparse.RawDescriptionHelpFormatter):
+    """Formats help whose indented lines stay whole, as commands have to, while paragraphs are wrapped."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        parts = []
+        for is_kept, lines in groupby(text.splitlines(), lambda line: line.startswith(" ") or not line):
+            found = [*lines]  # `list` is a module here
+            parts += found if is_kept else [wrap_line(" ".join(found), width)]
+        return "\n".join(f"{indent}{part}" for part in parts)
 
 
 class OverviewParser(Arguments):

@@ -97,7 +97,8 @@ def run(args: argparse.Namespace) -> int:
             print(f"{chr(10) if number else ''}{args.a} and {folder}")
         unit = compare.unit_numbers_of_pairs(pairs, results.load_experiment(args.a))
         text = comparison.comparison_text(pairs, len(a), len(b), parse_names(args.regions), unit)
-        terminal.print_markdown(text + "\n")
+        required = ("pairs", "flips", "only A succeeds", "only B succeeds", "outcome", "outcome (B)")
+        terminal.print_markdown(text + "\n", required)
         if line := comparison.first_difference_text(args.a, folder, args.histories):
             print(line)
         differ.append(compare.changed_pairs(pairs).assign(**({"B": str(folder)} if len(args.b) > 1 else {})))

@@ -1,6 +1,7 @@
 """`sweep describe`: describe parameters, choices and columns."""
 
 import argparse
+import re
 
 from sweep.cli.choices import no_project_hint
 from sweep.cli.command import Command, Section
@@ -33,5 +34,6 @@ def run(args: argparse.Namespace) -> int:
         text = reference.parameters_page() if args.name is None else reference.describe_name(args.name)
     except InputError as error:
         raise InputError(f"{error}{no_project_hint() if '=' in (args.name or '') else ''}") from None
-    terminal.print_markdown(text + "\n", required=("meaning",))
+    text = re.sub(r"(?<=[^\s|])\n(?=[^\s|#*-])", " ", text)  # paragraphs, which the terminal wraps to its own width
+    terminal.print_markdown(text + "\n", required=("meaning",), is_paged=True)
     return DONE

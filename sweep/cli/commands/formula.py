@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from sweep.cli.command import Command, Section
 from sweep.cli.exits import DONE
+from sweep.core import terminal
 from sweep.core.arguments import Arguments
 from sweep.core.errors import InputError
 from sweep.core.files import write_atomically
@@ -37,8 +38,11 @@ def add_arguments(parser: Arguments) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print a formula's values, a table or all formulas. Raises `InputError`."""
-    for line in _evaluate_command(args):
-        print(line)
+    lines = _evaluate_command(args)
+    if args.json or args.sweep:  # data for another program, whose lines must stay whole
+        print(*lines, sep="\n")
+    else:
+        terminal.print_markdown("\n".join(lines) + "\n", is_paged=args.name is None)
     return DONE
 
 

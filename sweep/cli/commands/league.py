@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     league, by = policy_race.bin_conditions(read, parse_names(args.by) or [])
     table, pairs = report.standings_of(league, args.level)
     text = report.format_league(league, table, pairs, args.level, unit, by)
-    terminal.print_markdown(text, required=("policy", "share"))
+    terminal.print_markdown(text, required=("policy", "share", "verdict", "a", "b"))
     if args.picture:
         save_figure(report.draw_league(table, pairs), args.picture)
     if args.page:

@@ -35,7 +35,8 @@ def run(args: argparse.Namespace) -> int:
     if any(word not in GROUPS and ("/" in word or Path(word).exists()) for word in args.what):
         from sweep.report import overview
 
-        terminal.print_markdown(overview.overview_text([Path(word) for word in args.what]) + "\n")
+        text = overview.overview_text([Path(word) for word in args.what]) + "\n"
+        terminal.print_markdown(text, required=("folder", "rollouts", "succeed", "date"), is_paged=True)
         return DONE
     group, words = (args.what[0], args.what[1:]) if args.what and args.what[0] in GROUPS else ("", args.what)
     groups = [group] if group else list(GROUPS)

@@ -27,7 +27,7 @@ examples:
   sweep run study=walk_map study.axes.friction.num=65 out=results/fine
   sweep run study=my/study.yaml --dry-run
 exit codes:
-{textwrap.indent(textwrap.fill(", ".join(f"{code} {text}" for code, text in MEANINGS.items()), 110), "  ")}"""
+{textwrap.indent(textwrap.fill(", ".join(f"{code} {text}" for code, text in MEANINGS.items()), 76), "  ")}"""
 
 
 def add_arguments(parser: Arguments) -> None:

@@ -45,6 +45,8 @@ def run(args: argparse.Namespace) -> int:
         kinds = " or ".join(design_kinds.list_kinds(lambda kind: kind.sensitivity.needs_own_design))
         raise InputError(f"--figure is for sensitivity: it needs a study with study.design.kind={kinds}")
     terminal.print_markdown(
-        statistics.render_statistics(rows, exp, args.level, args.figure), required=("share", "low", "high")
+        statistics.render_statistics(rows, exp, args.level, args.figure),
+        required=("share", "low", "high"),
+        is_paged=True,
     )
     return DONE

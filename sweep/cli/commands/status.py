@@ -5,6 +5,7 @@ import argparse
 from sweep.cli.arguments import add_folder
 from sweep.cli.command import Command, Section
 from sweep.cli.exits import DONE
+from sweep.core import terminal
 from sweep.core.arguments import Arguments
 
 COMMAND = Command(Section.READ, "show progress and outcomes of a study")
@@ -26,12 +27,12 @@ def run(args: argparse.Namespace) -> int:
     exp = results.load_experiment(args.dir) if done else None
     rows = store.read_rows(args.dir, None if exp.study.is_adaptive else ["outcome", "cause"]) if exp else None
     # only now are the rows compared with the plan
-    print(f"{args.dir}: {done} of {stored['rollouts']} rollouts done, code {stored['commit'] or stored['code']}")
+    lines = [f"{args.dir}: {done} of {stored['rollouts']} rollouts done, code {stored['commit'] or stored['code']}"]
     if exp is not None and rows is not None:
         meanings = exp.system.cause_meanings(exp.thresholds)
         if exp.study.is_adaptive:
-            print(study_headline(rows, exp))
-        print(", ".join(f"{number} {outcome}" for outcome, number in rows["outcome"].value_counts().items()))
-        for line in cause_lines(rows["cause"], meanings):
-            print(f"  {line}")
+            lines.append(study_headline(rows, exp))
+        lines.append(", ".join(f"{number} {outcome}" for outcome, number in rows["outcome"].value_counts().items()))
+        lines += [f"  {line}" for line in cause_lines(rows["cause"], meanings)]
+    terminal.print_markdown("\n".join(lines) + "\n")
     return DONE

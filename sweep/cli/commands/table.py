@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
         sys.stdout.write(content.decode())
     else:
         kept, elsewhere = ("outcome", "cause"), "use `--columns` to choose columns, or -o FILE for all"
-        terminal.print_markdown(content.decode(), kept, elsewhere)
+        terminal.print_markdown(content.decode(), kept, elsewhere, is_paged=True)
     return DONE
 
 

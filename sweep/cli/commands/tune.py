@@ -14,6 +14,7 @@ planner. What is found is checked on the draws of the study's next seed. With --
 follow the sizes that the study draws. With --simulate both draws are run, too, by the plan before and after, in folders
 beside the file. What no number of the plan moves, such as feet on the way to an obstacle, may be moved by numbers of
 the manoeuvre (--free manoeuvre.NAME): the file says with which of them its plan is to be run.
+
 examples:
   sweep tune scenario=pole_top robot=mine study=pole_sizes out=plans/mine.yaml --free 'top.*' --stages 'top.*'
   sweep tune scenario=pole_top study=pole_sizes out=plans/any.yaml --follow --simulate
