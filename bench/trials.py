@@ -14,6 +14,7 @@ from scipy.stats import norm
 
 from sweep.analysis import trials
 from sweep.core.plot_style import COLUMN_WIDTH_IN, new_figure, save_figure
+from sweep.study.importance_sampling import effective_sample_size
 
 Table = list[list[str]]  # columns, then rows
 
@@ -60,7 +61,7 @@ def belief_tables(rng: np.random.Generator) -> Table:
                 moved = found["p_holm"] < 0.05
                 lines.append(
                     (found.loc["x", "mean_after"], found.loc["x", "sd_after"], moved["x"], moved["y"],
-                     trials.effective_draws(weights))
+                     effective_sample_size(weights))
                 )  # fmt: skip
             mean, spread, x_moved, y_moved, effective = np.mean(np.array(lines, float), axis=0)
             error = np.sqrt(np.mean([(one[0] - x) ** 2 for one in lines]))

@@ -8,6 +8,7 @@ from small_study import one_line
 from sweep.analysis import trials
 from sweep.cli.main import main
 from sweep.runs import store
+from sweep.study.importance_sampling import effective_sample_size
 
 
 def test_right_predictions_are_calibrated_and_wrong_ones_are_not():
@@ -39,7 +40,7 @@ def test_trials_say_which_parameter_reality_has():
     simulated = (conditions + values[["x"]].to_numpy() < 1.2).astype(float)
     weights = trials.belief_weights(simulated, conditions + 0.72 < 1.2, 1e-6)
     table = trials.belief_table(values, weights).set_index("parameter")
-    assert trials.effective_draws(weights) == pytest.approx(values["x"].between(0.7, 0.8).sum(), abs=1)
+    assert effective_sample_size(weights) == pytest.approx(values["x"].between(0.7, 0.8).sum(), abs=1)
     assert table.loc["x", "mean_after"] == pytest.approx(0.75, abs=0.005)
     assert table.loc["x", "sd_after"] == pytest.approx(0.1 / np.sqrt(12), abs=0.003)
     p = table["p_holm"].to_dict()

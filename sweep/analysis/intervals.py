@@ -88,6 +88,32 @@ def korn_graubard(
     return clopper_pearson(p * size, size, level)
 
 
+def korn_graubard_by_group(
+    group: np.ndarray, success: np.ndarray, trials: np.ndarray, number: int, level: float = CONFIDENCE_LEVEL
+) -> Interval:
+    """Compute the cluster interval (Korn and Graubard) of the success rate of each group of clusters.
+
+    Args:
+        group: Index of the group of each cluster (u,).
+        success: Number of successes of each cluster (u,).
+        trials: Number of trials of each cluster (u,), at least 1.
+        number: Number g of groups.
+        level: Confidence level.
+
+    Returns:
+        Lower and upper ends (g,), see `korn_graubard`.
+    """
+
+    def total(values: np.ndarray) -> np.ndarray:
+        return np.bincount(group, values, number)
+
+    won, tried = total(success), total(trials)
+    share = won / np.maximum(tried, 1)
+    rare = np.minimum(total(success > 0), total(success < trials))
+    squared_deviations = total((success - share[group] * trials) ** 2)
+    return korn_graubard(won, tried, squared_deviations, np.bincount(group, minlength=number), rare, level)
+
+
 def student_interval(values: ArrayLike, level: float = CONFIDENCE_LEVEL) -> tuple[float, float]:
     """Compute the Student t interval of the mean of independent values (n,); NaN if all of them are equal."""
     from scipy.stats import t

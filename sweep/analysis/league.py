@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from sweep.analysis.compare import holm_adjust, sign_flip_p
-from sweep.analysis.intervals import CONFIDENCE_LEVEL, clopper_pearson, korn_graubard
+from sweep.analysis.intervals import CONFIDENCE_LEVEL, clopper_pearson, korn_graubard_by_group
 from sweep.analysis.sequential import log_e_value
 from sweep.analysis.stats import sum_by_unit
 
@@ -57,9 +57,8 @@ def rate_table(league: LeagueRows, level: float = CONFIDENCE_LEVEL) -> pd.DataFr
     if sizes.max() == 1:
         low, high = clopper_pearson(won, np.full(number, n), own)
     else:
-        squared = ((sums - sizes[:, None] * table["share"].to_numpy()) ** 2).sum(axis=0)
-        rare = np.minimum((sums > 0).sum(axis=0), (sums < sizes[:, None]).sum(axis=0))
-        low, high = korn_graubard(won, np.full(number, n), squared, np.full(number, len(sizes)), rare, own)
+        policy = np.tile(np.arange(number), len(sizes))
+        low, high = korn_graubard_by_group(policy, sums.ravel(), np.repeat(sizes, number), number, own)
     return table.assign(low=low, high=high)
 
 

@@ -27,7 +27,7 @@ from sweep.core.errors import InputError
 from sweep.study.designs import drawn_axis_names
 from sweep.study.study import Study
 
-MAX_ROLLOUTS = 10**10  # a study that needs more is not planned
+MAX_REQUIRED_ROLLOUTS = 10**10  # a study that needs more is not planned
 TAIL = 1e-12  # probability of counts that are left out at either end of a binomial law
 CHECKED_SIZES = 32  # sizes beyond the answer that have to meet the goal, too: the power of exact tests is a saw
 MAX_EXACT = 50_000  # rollouts of two independent policies; above, the normal law takes the place of the binomial one
@@ -69,13 +69,15 @@ def find_smallest_size(meets_goal: Callable[[int], bool], start: int = 1, checke
         checked: Number of successors that have to meet the goal, too.
 
     Raises:
-        InputError: Not even `MAX_ROLLOUTS` meet the goal.
+        InputError: Not even `MAX_REQUIRED_ROLLOUTS` meet the goal.
     """
     high = max(start, 1)
     while not meets_goal(high):
         high *= 2
-        if high > MAX_ROLLOUTS:
-            raise InputError(f"more than {MAX_ROLLOUTS:.0e} rollouts are needed: choose a goal that is easier to meet")
+        if high > MAX_REQUIRED_ROLLOUTS:
+            raise InputError(
+                f"more than {MAX_REQUIRED_ROLLOUTS:.0e} rollouts are needed: choose a goal that is easier to meet"
+            )
     low = max(high // 2, start - 1)
     while high - low > 1:
         middle = (low + high) // 2

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from sweep.analysis.intervals import Interval, confidence_sequence, korn_graubard, wilson
+from sweep.analysis.intervals import Interval, confidence_sequence, korn_graubard_by_group, wilson
 from sweep.core.distinct_values import count_distinct, rank_distinct_values
 
 
@@ -155,14 +155,13 @@ def _ends_by_unit(
     def total(values: np.ndarray) -> np.ndarray:
         return np.bincount(of, values, number)
 
-    units, trials, successes = total(np.ones(len(of))), total(size), total(won)
-    if interval is confidence_sequence:
-        own = confidence_sequence(total(won / size), units)
-    else:
-        share = successes / np.maximum(trials, 1)
-        telling = np.minimum(total(won > 0), total(won < size))
-        own = korn_graubard(successes, trials, total((won - share[of] * size) ** 2), units, telling)
-    clustered = trials > units
+    units = total(np.ones(len(of)))
+    own = (
+        confidence_sequence(total(won / size), units)
+        if interval is confidence_sequence
+        else korn_graubard_by_group(of, won, size, number)
+    )
+    clustered = total(size) > units
     return Interval(np.where(clustered, own.low, ends.low), np.where(clustered, own.high, ends.high))
 
 

@@ -118,11 +118,6 @@ def belief_weights(simulated: np.ndarray, success: np.ndarray, error_rate: float
     return weights / weights.sum()
 
 
-def effective_draws(weights: np.ndarray) -> float:
-    """Return the effective sample size of weighted draws (Kish): as many draws of equal weight are as accurate."""
-    return float(weights.sum() ** 2 / np.sum(weights**2))
-
-
 def belief_table(values: pd.DataFrame, weights: np.ndarray) -> pd.DataFrame:
     """Compare mean and spread of each parameter before and after weighing its draws by the outcomes of real trials.
 

@@ -16,6 +16,7 @@ from sweep.core.expressions import find_column
 from sweep.core.plot_style import COLUMN_WIDTH_IN, new_figure, save_figure
 from sweep.report.tables import markdown_table
 from sweep.runs import results, store
+from sweep.study.importance_sampling import effective_sample_size
 from sweep.study.study import name_axes, parameter_columns
 
 OUTCOMES = {"success": True, "1": True, "true": True, "failure": False, "0": False, "false": False}
@@ -124,7 +125,7 @@ def compare_trials(file: Path, folder: Path, error_rate: float) -> TrialsAnswer:
     if has_draws(exp.study) and exp.study.design.follows_distributions and unknown and complete.sum() > 1:
         weights = analysis.belief_weights(simulated[complete], won, error_rate)
         values = valid.groupby(draws)[unknown].first().loc[known[complete]]
-        beliefs, effective = analysis.belief_table(values, weights), analysis.effective_draws(weights)
+        beliefs, effective = analysis.belief_table(values, weights), effective_sample_size(weights)
     return TrialsAnswer(
         table.assign(predicted=predicted, rows=counts),
         analysis.calibration(predicted, won),

@@ -15,7 +15,7 @@ from sweep.report.labels import kind_meaning, outcome_kind
 from sweep.runs.results import Results
 from sweep.study.columns import metric_columns
 
-MAX_ROLLOUTS = 1000  # rollouts of a kind that are looked at
+MAX_CANDIDATE_ROLLOUTS = 1000  # rollouts of a kind that are looked at
 PICTURES_FOLDER = "pictures"  # folder beside the study's parts
 FRAMES_PER_PICTURE, TIME_AFTER_CAUSE_S = 4, 1.0  # of a picture: how many, and how long after the cause (s)
 
@@ -44,7 +44,7 @@ def find_representatives(results: Results) -> Iterator[Representative]:
     for kind in [*results.occurring_causes, SUCCESS]:
         own = pd.Series(np.flatnonzero(kinds == kind))
         if len(own):
-            sample = rows.iloc[np.sort(own.sample(min(len(own), MAX_ROLLOUTS), random_state=0))]
+            sample = rows.iloc[np.sort(own.sample(min(len(own), MAX_CANDIDATE_ROLLOUTS), random_state=0))]
             row = sample.iloc[medoid(standardize(sample[columns].to_numpy(dtype=float)))]
             picture = path_inside_folder(results.folder, f"{PICTURES_FOLDER}/{row['run_id']}-{row['point_id']}.png")
             yield Representative(kind, len(own), row, kind_meaning(kind, results.exp), picture)

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from sweep.core.errors import InputError
-from sweep.study.size_limits import MAX_ROLLOUTS
+from sweep.study.size_limits import MAX_STUDY_ROLLOUTS
 
 KEY_COLUMNS = ["batch", "slot"]  # columns that identify a row of the points table
 INTEGER_COLUMNS = ("replicate", "stream", "group", "batch", "slot", "width")  # with whole numbers
@@ -34,8 +34,8 @@ class AssignedPoints:
                 raise InputError(f"{name} is not allowed: column {column} holds no whole numbers")
         for column, least, most in (
             ("batch", 0, MAX_BATCHES),
-            ("slot", 0, MAX_ROLLOUTS),
-            ("width", 1, MAX_ROLLOUTS + 1),
+            ("slot", 0, MAX_STUDY_ROLLOUTS),
+            ("width", 1, MAX_STUDY_ROLLOUTS + 1),
         ):
             if column in assigned and len(odd := assigned[column][~assigned[column].between(least, most - 1)]):
                 raise InputError(f"{name} is not allowed: {column} = {odd.iloc[0]}, from {least} to {most - 1}")

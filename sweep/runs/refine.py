@@ -23,7 +23,7 @@ from sweep.core.errors import InputError
 from sweep.runs import store
 from sweep.runs.runner import Job, prepare_job
 from sweep.study.designs import Axis, drawn_axis_names
-from sweep.study.size_limits import MAX_ROLLOUTS
+from sweep.study.size_limits import MAX_STUDY_ROLLOUTS
 from sweep.study.study import Study, make_points
 
 MISSING_LABEL, INVALID_LABEL, FAILURE_LABEL, SUCCESS_LABEL = -2, -1, 0, 1
@@ -75,9 +75,9 @@ def make_lattice(study: Study) -> Lattice:
     if study.resolution:
         widest = max(np.diff(v).max() / (v[-1] - v[0]) for v in values)
         halvings = max(math.ceil(math.log2(widest / study.resolution) - 1e-9), 0)
-    if math.prod((len(v) - 1) * 2**halvings + 1 for v in values) > MAX_ROLLOUTS:
+    if math.prod((len(v) - 1) * 2**halvings + 1 for v in values) > MAX_STUDY_ROLLOUTS:
         raise InputError(
-            f"study.resolution = {study.resolution:g} is not allowed: a grid of more than {MAX_ROLLOUTS} points"
+            f"study.resolution = {study.resolution:g} is not allowed: a grid of more than {MAX_STUDY_ROLLOUTS} points"
         )
     fine = [np.interp(np.arange((len(v) - 1) * 2**halvings + 1) / 2**halvings, np.arange(len(v)), v) for v in values]
     return Lattice(axes, tuple(np.array([float(f"{x:.12g}") for x in v]) for v in fine), halvings)

@@ -27,7 +27,7 @@ from sweep.runs.manifest import PARTS_FOLDER, POINTS_FILE, SUBFOLDERS, ManifestE
 from sweep.runs.parquet import check_expansion, column_names, decoded_schema, read_parquet
 from sweep.runs.points_check import KEY_COLUMNS, AssignedPoints
 from sweep.study.columns import VERDICT_COLUMNS
-from sweep.study.size_limits import MAX_ROLLOUTS
+from sweep.study.size_limits import MAX_STUDY_ROLLOUTS
 
 # reads a million rows in 2 s of CPU time; Arrow's own pool takes 8 s
 pa.set_memory_pool(pa.system_memory_pool())
@@ -141,9 +141,9 @@ def count_planned_rollouts(folder: Path) -> int:
     Where it is lost or damaged, return the most that a study may have.
     """
     try:
-        return min(read_study(folder)["rollouts"], MAX_ROLLOUTS)
+        return min(read_study(folder)["rollouts"], MAX_STUDY_ROLLOUTS)
     except DamagedFile:
-        return MAX_ROLLOUTS
+        return MAX_STUDY_ROLLOUTS
 
 
 def digest(values: Any) -> str:

@@ -29,7 +29,7 @@ from sweep.study.distributions import (
     require_known_keys,
 )
 from sweep.study.distributions import parse_distribution as parse_distribution
-from sweep.study.size_limits import MAX_ROLLOUTS
+from sweep.study.size_limits import MAX_STUDY_ROLLOUTS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -285,8 +285,8 @@ def _values(key: str, axis_config: Mapping[str, Any]) -> tuple[Any, ...] | None:
     if lacking := [name for name, end in zip(("from", "to", "num"), ends, strict=True) if end is None]:
         raise InputError(f"{key}.{lacking[0]} is missing: a range has from, to and num")
     low, high = (parse_number(f"{key}.{name}", end) for name, end in zip(("from", "to"), ends[:2], strict=True))
-    if not isinstance(ends[2], int | float) or not 1 <= ends[2] <= MAX_ROLLOUTS or ends[2] != int(ends[2]):
-        raise InputError(f"{key}.num = {ends[2]!r} is not allowed: a whole number from 1 to {MAX_ROLLOUTS}")
+    if not isinstance(ends[2], int | float) or not 1 <= ends[2] <= MAX_STUDY_ROLLOUTS or ends[2] != int(ends[2]):
+        raise InputError(f"{key}.num = {ends[2]!r} is not allowed: a whole number from 1 to {MAX_STUDY_ROLLOUTS}")
     if ends[2] == 1 and low != high:
         raise InputError(f"{key}.num = 1 is not allowed from {low:g} to {high:g}: at least 2, or values: [{low:g}]")
     # shortest decimals, so that the values read, compare and hash as written

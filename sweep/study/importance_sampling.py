@@ -137,6 +137,11 @@ def fit_next_proposal(u: Float[np.ndarray, "n d"], rounds: Sequence[Mixture], wi
     return Mixture(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
+def effective_sample_size(weights: Float[np.ndarray, " n"]) -> float:
+    """Return the effective sample size (Kish) of weights whose sum is 1: equal weights of so many are as accurate."""
+    return float(1 / np.sum(weights**2))
+
+
 def fit_mixture(u: Float[np.ndarray, "n d"], weight: Float[np.ndarray, " n"]) -> Mixture:
     """Fit up to `MAX_COMPONENTS` normals to weighted points, by expectation maximization.
 
@@ -154,7 +159,7 @@ def fit_mixture(u: Float[np.ndarray, "n d"], weight: Float[np.ndarray, " n"]) ->
     d = u.shape[1]
     powers = (weight**power / np.sum(weight**power) for power in WEIGHT_EXPONENTS)
     w = next((w for w in powers if np.sum(w**2) * ROWS_PER_COMPONENT_AXIS * d <= 1), np.full(len(u), 1 / len(u)))
-    effective = 1 / np.sum(w**2)
+    effective = effective_sample_size(w)
     w = effective * w
     count, prior = int(np.clip(effective // (ROWS_PER_COMPONENT_AXIS * d), 1, MAX_COMPONENTS)), PRIOR_ROWS_PER_AXIS * d
     chosen = [int(np.argmax(w))]

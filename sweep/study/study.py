@@ -30,7 +30,7 @@ from sweep.study.design_kinds.base import AdaptiveDesign, Design, DrawContext
 from sweep.study.designs import Axis
 from sweep.study.distributions import require_known_keys
 from sweep.study.point_ids import HASHED_DIGITS, point_hashes, point_ids, replicate_streams, row_streams
-from sweep.study.size_limits import MAX_ROLLOUTS
+from sweep.study.size_limits import MAX_STUDY_ROLLOUTS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -340,8 +340,8 @@ def make_points(
         InputError: The study has too many rollouts, or a value is not allowed.
     """
     rollouts = study.replicates if study.points or grid is not None else study.max_rollouts
-    if rollouts > MAX_ROLLOUTS:
-        raise InputError(f"study {study.name} has {rollouts} rollouts: at most {MAX_ROLLOUTS} are allowed")
+    if rollouts > MAX_STUDY_ROLLOUTS:
+        raise InputError(f"study {study.name} has {rollouts} rollouts: at most {MAX_STUDY_ROLLOUTS} are allowed")
     if study.points:
         design = _from_csv(study.points)
     else:
