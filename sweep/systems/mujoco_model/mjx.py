@@ -319,7 +319,7 @@ class MjxModelEngine(ModelEngine):
             "seen": seen,
             "wrong": jnp.zeros(n, bool),
             "full": jnp.zeros(n, bool),
-            "ctrl": jnp.full((n, self._model.nu), jnp.nan),  # of the tick before, none at first
+            "ctrl": jnp.full((n, self._model.nu), jnp.nan, float),  # of the tick before, none at first
             "force": jnp.zeros((n, self._model.nu)),
             "acting": self._start_acting(n),
         }
@@ -332,11 +332,11 @@ class MjxModelEngine(ModelEngine):
         """What pushes and delays of commands carry from step to step at first: nothing where there are none."""
         spec, found = self._spec, {}
         if spec.action_buffer:
-            found["past"] = jnp.full((n, spec.action_buffer, self._model.nu), jnp.nan)  # commands of the steps before
+            found["past"] = jnp.full((n, spec.action_buffer, self._model.nu), jnp.nan, float)  # of the steps before
         if len(spec.pushed_bodies):
             found["wrench"] = jnp.zeros((n, self._model.nbody, 6))  # in the last step
             # of the bodies, as the last two steps began
-            found["places"] = jnp.full((n, 2, len(spec.pushed_bodies), 3), jnp.nan)
+            found["places"] = jnp.full((n, 2, len(spec.pushed_bodies), 3), jnp.nan, float)
         if spec.actuator_networks:
             found["networks"] = jax.tree.map(jnp.asarray, [one.begin(n) for one in spec.actuator_networks])
         if spec.action_buffer or spec.controller.joint_control or spec.motor_law:
