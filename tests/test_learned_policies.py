@@ -109,12 +109,6 @@ def make_engine(engine, precision="float64"):
     return exp.system.make_engine(replace(task.settings, cross_check=False), task.world, task.belief, None), task
 
 
-def simulate(engine, precision="float64"):
-    """Positions (ticks, nq) of the nominal rollout on an engine."""
-    made, task = make_engine(engine, precision)
-    return made.trace(task.world, task.belief, task.streams, 0).qpos
-
-
 @pytest.fixture
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -138,7 +132,8 @@ def test_single_precision_stays_within_5_mm_of_a_plain_loop(here, shape, engine)
 
 def test_a_recurrent_policy_runs_on_mjx_as_in_a_plain_loop(here):
     """A robot of one leg, in the air."""
-    compare_with_plain_loop(here, "lstm", "mjx", legs=1)
+    made = compare_with_plain_loop(here, "lstm", "mjx", legs=1)
+    assert made._ticks._cache_size() == 1  # 50 calls compile the program once
 
 
 def save_shape(shape, legs=4):
@@ -166,7 +161,10 @@ def compare_with_plain_loop(folder, shape, engine, legs=4, precision="float64", 
         getattr(plain, shape)(network)
         places.append(plain.data.qpos.copy())
     assert np.abs(np.diff(places, axis=0)[:, 7:]).max() > 0.02  # it moves
-    np.testing.assert_allclose(simulate(engine, precision), places, atol=atol, rtol=0)
+    made, task = make_engine(engine, precision)
+    simulated = made.trace(task.world, task.belief, task.streams, 0).qpos
+    np.testing.assert_allclose(simulated, places, atol=atol, rtol=0)
+    return made
 
 
 STILL = "observation: [{term: constant, values: [1.0]}]\ncommands: {velocity_x: 0.0}\n"

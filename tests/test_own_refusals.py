@@ -86,3 +86,15 @@ def test_a_policy_that_keeps_a_state_in_a_global_is_refused(study, capsys):
     one_line(capsys.readouterr().err, "for the same observations", "policy(belief, observation, state, key)")
     stateless = GLOBAL.replace("0.5 * last + ", "")
     assert main([*study("stateless", SLIDE % "", stateless, GRAVITY), "--dry-run"]) == 0
+
+
+@pytest.mark.parametrize(("model", "engine", "data", "line"), [
+    (SLIDE % "", "native", "[cfrc]", "model.data: cfrc is unknown: did you mean cfrc_ext?"),
+    (SLIDE % "", "native", "[cfrc_ext]", "model.data: cfrc_ext needs an accelerometer, force or torque sensor"),
+    (SLIDE % "", "kernel", "[xpos]", "engine.name = kernel is not allowed: it does not simulate arrays of mjData"),
+    (PLUGIN.replace("</mujoco>", '<sensor><framelinacc objtype="body" objname="ball"/></sensor></mujoco>').replace(
+        "<body>", '<body name="ball">'), "mjx", "[xpos]", "MJX computes no sensors of forces and accelerations"),
+])  # fmt: skip
+def test_arrays_and_sensors_that_are_not_computed_are_refused(study, capsys, model, engine, data, line):
+    assert main([*study("arrays", model, HOLD, GRAVITY), f"model.data={data}", f"engine={engine}"]) == 2
+    one_line(capsys.readouterr().err, line)

@@ -238,7 +238,8 @@ class MujocoModel(ModelSpec):
         yield from self.controller_values
         yield "model", about.content
         sensors = () if about.sensors == ModelConfig.sensors else (about.sensors,)  # ids of before stay as they are
-        rollout = (about.period, about.duration, about.keyframe, about.observe, about.command, *sensors)
+        data = (about.data,) if about.data else ()  # likewise
+        rollout = (about.period, about.duration, about.keyframe, about.observe, about.command, *sensors, *data)
         yield "model.rollout", repr(rollout)
         if self.config.terrain:
             yield from self.config.terrain.values_by_path().items()
@@ -483,7 +484,7 @@ def _parse_model(given: Mapping[str, Any]) -> ModelConfig:
     for key in ("mjcf", "controller", "keyframe"):
         if not isinstance(said.get(key, ""), str):
             raise InputError(f"model.{key} = {said[key]!r} is not allowed: a word")
-    for key in ("observe", "feet", "collisions"):
+    for key in ("observe", "data", "feet", "collisions"):
         names = said.get(key, ())
         if not isinstance(names, list | tuple) or not all(isinstance(one, str) for one in names):
             raise InputError(f"model.{key} = {names!r} is not allowed: a list of names")

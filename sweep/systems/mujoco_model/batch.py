@@ -13,7 +13,13 @@ from sweep.core.errors import InputError
 from sweep.systems.mujoco_model import disturbances, fields, initial_state, motors, payloads, terrain
 from sweep.systems.mujoco_model.disturbances import Disturbances
 from sweep.systems.mujoco_model.initial_state import StartOffsets
-from sweep.systems.mujoco_model.model_spec import PHYSICAL, TERM_NOISE_PARAMETERS, ModelSpec, SideValues
+from sweep.systems.mujoco_model.model_spec import (
+    PHYSICAL,
+    TERM_NOISE_PARAMETERS,
+    ModelSpec,
+    SideValues,
+    append_arrays,
+)
 
 PUSH_KEY, START_KEY = 2**31 - 1, 2**31 - 2  # of random pushes and initial states; controllers have those from 0 on
 
@@ -24,7 +30,8 @@ class BatchStart(NamedTuple):
     batch: Batch  # at the keyframe
     qpos: np.ndarray  # (n, nq), of the batch: what is written here is where it goes on from
     qvel: np.ndarray  # (n, nv), likewise
-    sensors: np.ndarray  # (n, nsensordata), likewise
+    sensordata: np.ndarray  # (n, nsensordata), likewise
+    arrays: dict[str, np.ndarray]  # of mjData that the controllers read, (n, ...) by name
     policy_inputs: dict[str, Any]  # to the controllers, by row
     mass: np.ndarray  # (n,) kg
     limits: dict[str, np.ndarray]  # by field, (n, ..., 2), and the ground
@@ -74,10 +81,14 @@ class BatchStart(NamedTuple):
         flags[:] = usual
         return np.where(finite, found.sum(axis=1), np.nan)
 
-    def current_sensors(self) -> np.ndarray:
-        """Return the sensor values (n, nsensordata) of the present state, by MuJoCo's forward pass."""
+    @property
+    def sensors(self) -> np.ndarray:
+        """Sensor values and arrays of mjData (n, k) that MuJoCo computed last."""
+        return append_arrays(self.sensordata, self.arrays.values())
+
+    def refresh_sensors(self) -> None:
+        """Compute the sensor values and arrays of the present state, by MuJoCo's forward pass."""
         self.batch.forward(np.flatnonzero(self._finite()))
-        return self.sensors
 
     def _finite(self) -> np.ndarray:
         return np.isfinite(self.qpos).all(axis=1) & np.isfinite(self.qvel).all(axis=1)
@@ -95,7 +106,8 @@ def start_batch(
     except ValueError as error:  # as of bodies that sleep
         reason = " ".join(str(error).split())
         raise InputError(f"model.mjcf = {spec.config.mjcf} cannot be simulated in batches: {reason}") from None
-    qpos, qvel, sensors = (batch.bind(name) for name in ("qpos", "qvel", "sensordata"))
+    qpos, qvel, sensordata = (batch.bind(name) for name in ("qpos", "qvel", "sensordata"))
+    arrays = {name: batch.bind(name) for name in spec.data_sizes}
     # bound before the reset: what is bound after it is zero until the next call
     if ground:
         for name in ("geom_xpos", "geom_xmat"):
@@ -123,7 +135,7 @@ def start_batch(
     luck = draw_uniform(streams, START_KEY, count) if is_random else np.full((n, count), 0.5)
     offsets = initial_state.make_offsets(spec.model, numbers, 2 * luck - 1)
     mass = batch.expand("body_mass").sum(axis=1)
-    start = batch, qpos, qvel, sensors, policy_inputs, mass, limits, acting, written, offsets
+    start = batch, qpos, qvel, sensordata, arrays, policy_inputs, mass, limits, acting, written, offsets
     return BatchStart(*start, ground, spec.model)
 
 

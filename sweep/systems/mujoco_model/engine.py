@@ -218,10 +218,10 @@ class NativeModelEngine(ModelEngine):
         # figures of a tick are worked out, on one core, while the next one is simulated on all of them
         with self._within(), ThreadPoolExecutor(1) as aside:
             begun = batch.start_batch(spec, self._settings, world, belief, streams)
-            qpos, qvel, seen = begun.qpos, begun.qvel, begun.sensors
+            qpos, qvel = begun.qpos, begun.qvel
             rollouts = ControllerBatch(self._programs, begun.policy_inputs, n)
             before_all = begun.set_initial_state(rollouts.start)
-            ticks = batch.count_ticks(spec, rollouts.duration)
+            ticks, seen = batch.count_ticks(spec, rollouts.duration), begun.sensors
             rollouts.begin_rollouts(spec.observable_state(qpos, qvel, seen), ticks)
             metric_state = aside.submit(self._meter.start, qpos.copy(), qvel.copy())
 
@@ -238,8 +238,9 @@ class NativeModelEngine(ModelEngine):
                 broken |= going & ~np.isfinite(ctrl).all(axis=1)
                 ctrl = np.nan_to_num(ctrl)
                 steps = recorded[k % 2] = stepper.advance(ctrl, recorded[k % 2])
-                is_current = spec.config.sensors == "current"
-                seen = begun.current_sensors() if is_current else steps["sensordata"][:, -1]
+                if spec.config.sensors == "current":
+                    begun.refresh_sensors()
+                seen = begun.sensors
                 metric_state = aside.submit(update_metrics, metric_state.result(), steps, going)
                 if len(slots) and (k + 1) % every == 0:
                     last = (steps[name][slots, -1] for name in ("qpos", "qvel", "actuator_force"))

@@ -105,6 +105,8 @@ class KernelModelEngine(ModelEngine):
     dynamics = "kernel"
 
     def __init__(self, spec: ModelSpec, settings: EngineSettings):
+        if spec.config.data:
+            raise unsupported_model_error("arrays of mjData (model.data)")
         self._layout = find_layout(spec.model)
         if spec.actuator_networks:
             raise unsupported_model_error("learned actuator networks")

@@ -150,6 +150,10 @@ class MjxModelEngine(ModelEngine):
         for what, name in SILENTLY_IGNORED_FIELDS.items():
             if name.removeprefix("opt.") not in has and np.any(fields.field_values(self._model, name)):
                 raise self._refusal(f"MJX leaves out {what}", "a model without, ")
+        needs_forces = (self._model.sensor_needstage == int(mujoco.mjtStage.mjSTAGE_ACC)).any()
+        if self._impl == "jax" and needs_forces and not mjx.make_data(self._model)._impl.efc_J.size:
+            why = "MJX computes no sensors of forces and accelerations for a model without contacts and limits"
+            raise self._refusal(why, "a geom that may touch another, ")
 
     def _template(self, model: mujoco.MjModel) -> Any:
         """MJX's model. Raises `InputError` where it cannot simulate it."""
@@ -324,6 +328,7 @@ class MjxModelEngine(ModelEngine):
             "acting": self._start_acting(n),
         }
         carry = jax.tree.map(jnp.copy, carry)  # its buffers are given away, and some are there twice
+        carry = jax.device_put(carry, data.qpos.sharding)  # as later carries are: else JAX compiles for both
         limits = {name: jnp.asarray(rows, float) for name, rows in begun.limits.items()}
         acting = jax.tree.map(lambda one: jnp.asarray(one, float if one.dtype.kind == "f" else int), begun.acting)
         return begun, (template, data, leaves, policy_inputs, limits, acting), carry, ticks, at_first
@@ -403,12 +408,12 @@ class MjxModelEngine(ModelEngine):
             if wrench is not None:
                 told["places"] = after.xipos[bodies]  # as the step began
             told["full"], told["unsolved"] = self._invalid_flags(model, after)
+            told["seen"] = self._read_sensors(after)
             return {name: getattr(after, name).astype(sim_state[name].dtype) for name in CARRIED_FIELDS}, told
 
         def current(rows: Mapping[str, Array], sim_state: Mapping[str, Array], ctrl: Array, wrench: Any) -> Array:
-            return mjx.forward(
-                template.tree_replace(rows), data.replace(**sim_state, **inputs(ctrl, wrench))
-            ).sensordata
+            model = template.tree_replace(rows)
+            return self._read_sensors(mjx.forward(model, data.replace(**sim_state, **inputs(ctrl, wrench))))
 
         def tick(carry: Mapping[str, Any]) -> dict[str, Any]:
             going = carry["carried"]["tick"] < carry["carried"]["ticks"]
@@ -450,12 +455,12 @@ class MjxModelEngine(ModelEngine):
                 if "controls" in extra:
                     extra["controls"] = controls
                 full = full | going & told.pop("full")
-                work = {name: told.pop(name) for name in ("push_work",) if name in told}
+                work, seen = {name: told.pop(name) for name in ("push_work",) if name in told}, told.pop("seen")
                 steps = {name: values[:, None] for name, values in told.items()}
                 metric_state = self._meter.update(metric_state, {**steps, **work}, limits, going)
-                return (sim_state, metric_state, full, extra, (told["sensordata"], told["actuator_force"])), None
+                return (sim_state, metric_state, full, extra, (seen, told["actuator_force"])), None
 
-            none = jnp.zeros((len(ctrl), self._model.nsensordata)), carry["force"]
+            none = jnp.zeros((len(ctrl), self._model.nsensordata + sum(self._spec.data_sizes.values()))), carry["force"]
             first = carry["sim_state"], carry["metric_state"], carry["full"], extra, none
             each = shares, jnp.arange(len(self._shares)), late
             (sim_state, metric_state, full, extra, (sensors, force)), _ = jax.lax.scan(step, first, each)
@@ -472,6 +477,18 @@ class MjxModelEngine(ModelEngine):
             return new | {"wrong": wrong, "full": full, "ctrl": ctrl, "force": force}
 
         return jax.lax.fori_loop(0, count, lambda _, carry: tick(carry), carry)
+
+    def _read_sensors(self, data: Any) -> Array:
+        """Sensor values of a rollout, and the arrays of mjData that controllers read, (k,)."""
+        arrays = [self._read_array(data, name).reshape(-1) for name in self._spec.config.data]
+        return jnp.concatenate([data.sensordata, *arrays]) if arrays else data.sensordata
+
+    def _read_array(self, data: Any, name: str) -> Array:
+        """An array of MJX's data, or of its engine's part. Raises `InputError` where it has none."""
+        owner = next((one for one in (data, data._impl) if name in vars(one)), None)
+        if owner is None:
+            raise self._refusal(f"MJX has no {name}, which model.data lists", "other arrays, ")
+        return getattr(owner, name)
 
     def _invalid_flags(self, model: Any, data: Any) -> tuple[Array, Array]:
         """Whether a step of MJX's model was short of room, and whether it is unsolved."""

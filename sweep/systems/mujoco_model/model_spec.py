@@ -1,5 +1,6 @@
 """Settings of a MuJoCo model and its controller: files, observations and measurements."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -22,6 +23,11 @@ from sweep.systems.mujoco_model.policy_spec import VELOCITY_COMMANDS
 from sweep.systems.mujoco_model.schedules import FACTOR, Schedule
 from sweep.systems.mujoco_model.terrain import TerrainConfig
 
+DATA_ARRAYS = ("cfrc_ext", "cinert", "cvel", "qfrc_actuator", "subtree_com", "xipos", "xpos", "xquat")  # of mjData
+FORCE_SENSORS = tuple(
+    int(getattr(mujoco.mjtSensor, f"mjSENS_{kind}"))
+    for kind in ("ACCELEROMETER", "FORCE", "TORQUE", "FRAMELINACC", "FRAMEANGACC")
+)  # for which MuJoCo computes cfrc_ext
 FILE_PATHS = ("model.mjcf", "model.controller", "model.terrain.file")  # whose values are files or modules
 
 
@@ -35,6 +41,7 @@ class ModelConfig:
     duration: float = quantity(10.0, "s", above=0, at_most=3600)  # of a rollout, at most
     keyframe: str = ""  # that it starts from; else the model's own pose
     observe: tuple[str, ...] = ()  # qpos, qvel, or sensors by name; none are all sensors, of a model without any both
+    data: tuple[str, ...] = ()  # arrays of mjData, such as cfrc_ext, that controllers and metrics read like sensors
     feet: tuple[str, ...] = ()  # touch sensors, whose sites' slips are measured
     collisions: tuple[str, ...] = ()  # touch sensors of what should touch nothing
     direction: tuple[float, ...] = (1.0, 0.0, 0.0)  # that it should go in, of the world's axes
@@ -80,6 +87,20 @@ class SideValues:
     def select_group(self, root: str) -> dict[str, Any]:
         """Return the parameter values whose paths start with the group `root`."""
         return {path: value for path, value in self.values if path.startswith(f"{root}.")}
+
+
+def append_arrays(sensordata: Any, arrays: Iterable[Any]) -> Any:
+    """Append arrays of mjData, flattened, to the sensor values of n rollouts.
+
+    Args:
+        sensordata: Sensor values (n, nsensordata).
+        arrays: Arrays (n, ...) in the order of `model.data`.
+
+    Returns:
+        Numbers (n, k).
+    """
+    flat = [one.reshape(len(sensordata), -1) for one in arrays]
+    return array_namespace(sensordata).concatenate([sensordata, *flat], axis=1) if flat else sensordata
 
 
 @dataclass(frozen=True)
@@ -187,7 +208,7 @@ class ModelSpec:
 
     def touch_sensors(self, key: str) -> list[int]:
         """Return the ids of the touch sensors that `model.feet` or `model.collisions` lists. Raises `InputError`."""
-        names, sensors = getattr(self.config, key), [*self.state_slices][2:]  # which follow qpos and qvel
+        names, sensors = getattr(self.config, key), self._sensor_names.values()
         for name in names:
             require_choice(name, sensors, f"model.{key}: {name}")
             if self.model.sensor(name).type != int(mujoco.mjtSensor.mjSENS_TOUCH):
@@ -203,17 +224,52 @@ class ModelSpec:
         return names.index(name) if name else -1
 
     def observable_state(self, qpos: Any, qvel: Any, sensors: Any) -> Any:
-        """Return the observable states (n, s) without noise: positions, velocities and sensors in one array."""
+        """Return the observable states (n, s) without noise: positions, velocities and sensors in one array.
+
+        Args:
+            qpos: Positions (n, nq).
+            qvel: Velocities (n, nv).
+            sensors: Sensor values followed by the arrays of `model.data`, see `append_arrays`.
+        """
         return array_namespace(qpos).concatenate([qpos, qvel, sensors], axis=1)
 
     @cached_property
+    def data_sizes(self) -> dict[str, int]:
+        """Number of elements of each array that `model.data` lists. Raises `InputError`."""
+        found, state = {}, mujoco.MjData(self.model)
+        for name in self.config.data:
+            require_choice(name, DATA_ARRAYS, f"model.data: {name}")
+            if name == "cfrc_ext" and not np.isin(self.model.sensor_type, FORCE_SENSORS).any():
+                raise InputError(
+                    "model.data: cfrc_ext needs an accelerometer, force or torque sensor in the model, because MuJoCo "
+                    "computes external forces only for these"
+                )
+            if name in self._sensor_names.values():
+                raise InputError(f"model.data: {name} is the name of a sensor: rename the sensor")
+            found[name] = getattr(state, name).size
+        return found
+
+    @cached_property
+    def _sensor_names(self) -> dict[int, str]:
+        return {k: name for k in range(self.model.nsensor) if (name := self.model.sensor(k).name)}
+
+    @property
+    def state_size(self) -> int:
+        """Number of elements of an observable state: positions, velocities, sensors, and arrays of `model.data`."""
+        return self.model.nq + self.model.nv + self.model.nsensordata + sum(self.data_sizes.values())
+
+    @cached_property
     def state_slices(self) -> dict[str, slice]:
-        """Slices of the state array in which `qpos`, `qvel` and the sensors lie, by name."""
+        """Slices of the state array in which `qpos`, `qvel`, sensors, and arrays of `model.data` lie, by name."""
         model, first = self.model, self.model.nq + self.model.nv
         found = {"qpos": slice(0, model.nq), "qvel": slice(model.nq, first)}
         starts, sizes = first + model.sensor_adr, model.sensor_dim
-        named = {k: name for k in range(model.nsensor) if (name := model.sensor(k).name)}
-        return found | {name: slice(starts[k], starts[k] + sizes[k]) for k, name in named.items()}
+        found |= {name: slice(starts[k], starts[k] + sizes[k]) for k, name in self._sensor_names.items()}
+        first += model.nsensordata
+        for name, size in self.data_sizes.items():
+            found[name] = slice(first, first + size)
+            first += size
+        return found
 
     def split_state(self, state: Any) -> dict[str, Any]:
         """Split one state array (s,) into positions, velocities and sensors, by name."""
@@ -227,13 +283,14 @@ class ModelSpec:
 
     @cached_property
     def observed_slices(self) -> list[slice]:
-        """Slices of the model's state (positions, velocities, sensors) that the controller observes."""
+        """Slices of the observable state that the controller observes: `model.observe`, by default all sensors."""
         model, names = self.model, self.config.observe
         if names and self.controller.observe:
             raise InputError("model.observe is not allowed: the controller has a function `observe`")
         for name in names:
             require_choice(name, self.state_slices, f"model.observe: {name}")
-        usual = slice(model.nq + model.nv if model.nsensordata else 0, None)
+        first = model.nq + model.nv
+        usual = slice(first, first + model.nsensordata) if model.nsensordata else slice(0, first)
         return [self.state_slices[name] for name in names] or [usual]
 
     def believed_values(self, values: ColumnValues) -> dict[str, Any]:

@@ -191,7 +191,7 @@ class ControllerPrograms:
         spec = self._spec
         policy_inputs = {**controller_inputs(spec, world, belief), "key": jax.random.key_data(key)}
         policy_inputs["delay"] = jnp.rint(jnp.asarray(policy_inputs["delay"])).astype(jnp.int32)
-        observable = jnp.zeros(spec.model.nq + spec.model.nv + spec.model.nsensordata)
+        observable = jnp.zeros(spec.state_size)
         start, state, duration = self.begin_controller(policy_inputs)
 
         def tick(carried: Any, _: None) -> tuple[Any, Any]:
@@ -346,7 +346,7 @@ class ControllerPrograms:
     def _check(self, belief: Mapping[str, Any]) -> None:
         """Raise where the controller's functions fit neither each other nor the model."""
         spec, model, key = self._spec, self._spec.model, jax.random.key(0)
-        observable = jnp.zeros(model.nq + model.nv + model.nsensordata)
+        observable = jnp.zeros(spec.state_size)
         start, state, duration = jax.eval_shape(self._begin, belief, key)
         seen = jax.eval_shape(spec.observe_state, observable)
         ctrl, after = jax.eval_shape(self._policy, belief, seen, state, key)
