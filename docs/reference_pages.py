@@ -314,9 +314,9 @@ def policy_file_page() -> str:
         "All have the commands `velocity_x`, `velocity_y`, `yaw_rate` and an action scale of 0.5.",
         table(("preset", "terms in order"), presets),
         "## Metadata of the network",
-        "`joint_names`, `default_joint_pos`, `joint_stiffness`, `joint_damping`, `action_scale` and "
-        "`observation_names` are read, as exporters of mjlab and Isaac Lab write them: words or numbers "
-        "with commas between.",
+        "`joint_names`, `default_joint_pos`, `joint_stiffness`, `joint_damping`, `action_scale`, `observation_names` "
+        "and `observation_history_lengths` are read, as exporters of mjlab and whole_body_tracking write them: words "
+        "or numbers with commas between.",
         "## Operators of the network",
         ", ".join(map(code, sorted([*onnx_operators.OPERATORS, "Constant"]))) + ".",
     )

@@ -249,6 +249,10 @@ def test_what_exporters_write_into_the_network_counts_unless_the_file_says_other
     np.testing.assert_array_equal(learned.offset, [0.0] * 4 + [0.795] * 4 + [-1.59] * 4)
     assert set(learned.joint_control.stiffness) == {90.0}
     assert set(learned.joint_control.damping) == {2.5}
+    lengths = {"observation_history_lengths": "1,1,0,3,1,1,1"}  # 24 numbers more
+    save_perceptron("walk.onnx", (72, 12), **told, **lengths)
+    learned = compose(["study=one"]).system.controller.fitted_policy
+    assert [one.history for one in learned.inputs["obs"]] == [1, 1, 1, 3, 1, 1, 1]
     save_perceptron("walk.onnx", (48, 12), **{**told, "observation_names": "base_lin_vel,foot_clock"})
     with pytest.raises(InputError, match=r"observation\[1\]: foot_clock is unknown"):
         compose(["study=one"])
@@ -338,6 +342,20 @@ def test_the_page_as_it_stands(here, monkeypatch):
     (sample,) = re.findall(r"(?:^    (?!sweep).*\n)+", text, re.MULTILINE)
     spec = policy_spec.parse_policy("walk.policy.yaml", yaml.safe_load(sample), {})
     assert len(policy_spec.parse_terms("", spec.observation)) == 6
+
+
+def test_a_project_has_the_folders_of_its_model_and_judges_as_its_solver_allows(here, monkeypatch):
+    write_project(here, JOYSTICK)
+    save_perceptron("walk.onnx", (48, 12), 0.1)
+    for folder in ("scenes", "robots"):
+        Path(folder).mkdir()
+    Path("robot.xml").rename("robots/robot.xml")
+    Path("scenes/flat.xml").write_text('<mujoco><include file="../robots/robot.xml"/><option iterations="1"/></mujoco>')
+    assert main(["init", "--policy", "walk.onnx", "--mjcf", "scenes/flat.xml"]) == 0
+    monkeypatch.chdir("walk")
+    assert "unsolved_share >" not in Path("scenarios/own.yaml").read_text()
+    system = compose(["study=push_delay"]).system
+    assert (system.config.mjcf, system.model.opt.iterations) == ("scenes/flat.xml", 1)
 
 
 @pytest.mark.parametrize(("words", "line"), [

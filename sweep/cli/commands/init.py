@@ -19,7 +19,7 @@ DOT_FILE_NAMES = {"gitignore": ".gitignore"}  # files that a package cannot hold
 
 def add_arguments(parser: Arguments) -> None:
     """Add the arguments of `sweep init`: folder, and kind of project."""
-    parser.add_argument("dir", help="a new or empty folder")
+    parser.add_argument("dir", nargs="?", help="a new or empty folder (with --policy, default: its name)")
     parser.add_argument(
         "--model", action="store_true", help="with an example MuJoCo model and controller, see docs/own_model.md"
     )
@@ -38,6 +38,10 @@ def run(args: argparse.Namespace) -> int:
 
     Raises `InputError`.
     """
+    if args.dir is None and args.policy:
+        args.dir = Path(args.policy).stem
+    if args.dir is None:
+        raise InputError("dir is needed: a new or empty folder")
     if not str(args.dir).strip():
         raise InputError(f"dir = {str(args.dir)!r} is not allowed: a new or empty folder")
     folder = Path(args.dir)

@@ -1,7 +1,7 @@
 """Specification of how a learned policy was trained (`walk.policy.yaml` beside `walk.onnx`), as checked dataclasses.
 
-Three sources are read: the file, then the metadata that exporters of mjlab and Isaac Lab write into the network, then
-the preset of a training framework. The first one that has a value wins.
+Three sources are read: the file, then the metadata that exporters of mjlab and whole_body_tracking write into the
+network, then the preset of a training framework. The first one that has a value wins.
 """
 
 import dataclasses
@@ -191,7 +191,7 @@ def parse_policy(error_prefix: str, config: Mapping[str, Any], metadata: Mapping
 
 
 def read_metadata(error_prefix: str, metadata: Mapping[str, str]) -> dict[str, Any]:
-    """Read the comma-separated lists that exporters of mjlab and Isaac Lab write into a network, by name."""
+    """Read the comma-separated lists that exporters of mjlab and whole_body_tracking write into a network."""
 
     def words(key: str) -> list[str]:
         return [one.strip() for one in metadata.get(key, "").split(",") if one.strip()]
@@ -211,7 +211,16 @@ def read_metadata(error_prefix: str, metadata: Mapping[str, str]) -> dict[str, A
     if (pose := numbers("default_joint_pos")) is not None:
         found["default_pose"] = pose
     if terms := words("observation_names"):
-        found["observation"] = terms
+        lengths = np.ravel(numbers("observation_history_lengths") or 1).astype(int)
+        if len(lengths) not in (1, len(terms)):
+            raise InputError(
+                f"{error_prefix}: the network's metadata observation_history_lengths has {len(lengths)} numbers, "
+                f"observation_names {len(terms)}"
+            )
+        each = np.broadcast_to(lengths, len(terms)).tolist()
+        found["observation"] = [
+            one if length <= 1 else {"term": one, "history": length} for one, length in zip(terms, each, strict=True)
+        ]
     action = {ours: numbers(theirs) for ours, theirs in
               (("scale", "action_scale"), ("stiffness", "joint_stiffness"), ("damping", "joint_damping"))}  # fmt: skip
     if action := {key: value for key, value in action.items() if value is not None}:
