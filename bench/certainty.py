@@ -81,8 +81,8 @@ def phases(failures: str, root: Path) -> Iterator[list[str]]:
         learning, fresh = rows[:2]
         names = certification.drawn_parameter_columns(build_experiment(store.read_study(folder)["config"]), learning)
         known, new = (
-            certification.parameters_and_failures(learning, names),
-            certification.parameters_and_failures(fresh, names),
+            certification.parameter_matrix_and_failures(learning, names),
+            certification.parameter_matrix_and_failures(fresh, names),
         )
         most, least = float(failures), required_failure_free_rows(float(failures), CONFIDENCE_LEVEL) / len(fresh)
         times = [time.perf_counter()]

@@ -24,7 +24,7 @@ from sweep.config.experiment import Experiment
 from sweep.contract.engine import Trace
 from sweep.core.constants import FOOT_LOAD_THRESHOLD_N
 from sweep.core.provenance import version_record
-from sweep.report.replays import simulate_again
+from sweep.report.replays import resimulate_rows
 from sweep.runs import store
 
 DATA = margins.ROOT / "research" / "data" / "cliffs.json"
@@ -111,7 +111,9 @@ def measure(scenario: str, args: argparse.Namespace, known: dict[str, Any]) -> N
     ends = refine_cliffs(exp, folder, [every[k] for k in steep], towards[steep])
     both = pd.concat(ends, ignore_index=True)
     period = exp.settings.control_period
-    traces = {row["point_id"]: t for row, t, _ in simulate_again(exp, both, store.read_points(folder), rate=1 / period)}
+    traces = {
+        row["point_id"]: t for row, t, _ in resimulate_rows(exp, both, store.read_points(folder), rate=1 / period)
+    }
     told = []
     for two in ends:
         two = two.sort_values("margin", ascending=False)

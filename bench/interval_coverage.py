@@ -20,7 +20,7 @@ import shared
 from scipy.stats import norm
 
 from sweep.analysis import compare, failing, rare, sampling_units, screening, sensitivity
-from sweep.analysis.sample import pooled_rate
+from sweep.analysis.sample import pooled_success_rate
 from sweep.config.experiment import compose_values
 from sweep.core.errors import InputError
 from sweep.study import design_kinds, designs
@@ -128,7 +128,7 @@ def rate_hits(seed: int, kind: str, cut: float, replicates: int, **design: Any) 
     noise = NOISE * normals(rows, seed) if replicates > 1 else 0.0
     rows = judged(rows, rows["controller.x1"] + noise < cut)
     truth = rate_with_noise(cut) if replicates > 1 else cut
-    both = pooled_rate(rows, exp), sensitivity.success_volume(rows, exp).iloc[0]
+    both = pooled_success_rate(rows, exp), sensitivity.success_volume(rows, exp).iloc[0]
     return covers([one.low for one in both], [one.high for one in both], truth)
 
 
@@ -141,7 +141,7 @@ def tolerance_line(seed: int, cut: float, num: int = 64) -> tuple[pd.Series, flo
     axes = {"error": {"values": LEVELS}} | {name: {"path": f"controller.{name}", **error} for name in ("x1", "x2")}
     exp = study(axes, seed, design={"num": num})
     rows = points(exp)
-    line = sensitivity.tolerated_errors(judged(rows, linear(rows) < cut), exp).iloc[0]
+    line = sensitivity.tolerated_parameter_errors(judged(rows, linear(rows) < cut), exp).iloc[0]
     return line, (cut - np.sqrt(2)) * 2 * np.sqrt(8) / (2 - np.sqrt(0.8))
 
 
@@ -158,7 +158,7 @@ def budget_hits(seed: int, truth: float) -> np.ndarray:
     success, size = np.random.default_rng([seed, 3]).random(800) < truth, 20
     while True:
         rows = pd.DataFrame({"controller.x1": 0.5, "replicate": np.arange(size)})
-        line = sampling_units.condition_rates(judged(rows, success[:size]), exp, ["controller.x1"]).iloc[0]
+        line = sampling_units.success_rates_by_condition(judged(rows, success[:size]), exp, ["controller.x1"]).iloc[0]
         if size == 800 or not line["low"] <= 0.5 <= line["high"]:
             return covers([line["low"]], [line["high"]], truth)
         size = min(size + size // 2, 800)
@@ -173,7 +173,7 @@ def flip_hits(seed: int, replicates: int, values: list[float]) -> np.ndarray:
     one, other = (rows[f"controller.{name}"] + noise < 0.8 for name in ("x1", "x2"))
     named = judged(rows.assign(point_id=np.arange(len(rows)).astype(str)), one)
     pairs = compare.pair_rows(named, judged(named, other))
-    found = compare.count_flips(pairs, compare.unit_numbers_of_pairs(pairs, exp))
+    found = compare.count_flips(pairs, compare.pair_sampling_unit_ids(pairs, exp))
     return covers([found.low], [found.high], 2 * rate_with_noise(0.8) * (1 - rate_with_noise(0.8)))
 
 
@@ -244,20 +244,26 @@ class Case(NamedTuple):
 
 def _cases() -> Iterable[Case]:
     for kind in design_kinds.list_kinds(lambda kind: kind.gives_rate and not kind.is_low_discrepancy):
-        prints = pooled_rate if design_kinds.DESIGN_BY_KIND[kind].follows_distributions else sensitivity.success_volume
+        prints = (
+            pooled_success_rate
+            if design_kinds.DESIGN_BY_KIND[kind].follows_distributions
+            else sensitivity.success_volume
+        )
         yield Case(kind, prints, "rate", "64 draws", rate_hits, {"kind": kind, "cut": 0.8, "replicates": 1, "num": 64})
     for kind, cut in (("monte_carlo", 0.8), ("monte_carlo", 0.985), ("latin_hypercube", 0.8)):
         settings = {"kind": kind, "cut": cut, "replicates": 10, "num": 64}
-        yield Case(kind, pooled_rate, "rate", f"64 draws x 10 replicates, P = {cut:g}", rate_hits, settings)
+        yield Case(kind, pooled_success_rate, "rate", f"64 draws x 10 replicates, P = {cut:g}", rate_hits, settings)
     for kind in design_kinds.list_kinds(lambda kind: kind.is_low_discrepancy):
         for num, scrambles in ((64, 1), (16, 4), (64, 4)):
             if scrambles == 1 or "scrambles" in design_kinds.kind_specific_settings(design_kinds.DESIGN_BY_KIND[kind]):
                 settings = {"kind": kind, "cut": 0.985, "replicates": 1, "num": num, "scrambles": scrambles}
-                yield Case(kind, pooled_rate, "rate", f"{scrambles} x {num} draws, P = 0.985", rate_hits, settings)
+                yield Case(
+                    kind, pooled_success_rate, "rate", f"{scrambles} x {num} draws, P = 0.985", rate_hits, settings
+                )
     for cut in (1.42, 1.4225):
         yield Case(
             "monte_carlo",
-            sensitivity.tolerated_errors,
+            sensitivity.tolerated_parameter_errors,
             "tolerance",
             f"6 values x 64 draws, cut {cut:g}",
             tolerance_hits,
@@ -266,7 +272,7 @@ def _cases() -> Iterable[Case]:
     for truth in (0.5, 0.56):
         yield Case(
             "grid",
-            sampling_units.condition_rates,
+            sampling_units.success_rates_by_condition,
             "rate with a budget",
             f"P = {truth:g}",
             budget_hits,

@@ -42,7 +42,7 @@ def measure_kernel(exp: Experiment, width: int, few: bool) -> tuple[Figures, lis
     launch.compile_to_ptx = lambda *given, **named: COMPILED(*given, **{**named, "small_batch": few})
     world, streams = replace_parameter(exp.case, "contact.friction", np.linspace(0.9, 1.2, width)), np.arange(width)
     engine = MjxEngine(replace(exp.settings, width=width), exp.case, exp.case, exp.thresholds)
-    with program_cache.without_cache():
+    with program_cache.disable_compilation_caches():
         engine.run(world, exp.case, streams)
         ((form, programs),) = engine._programs.items()
         engine._programs[form] = programs._replace(start=with_timer(programs.start, planned))

@@ -16,7 +16,7 @@ from scipy.special import ndtri
 from scipy.stats import multivariate_normal
 
 from sweep.analysis import league
-from sweep.analysis.power import find_smallest_size, mcnemar_power
+from sweep.analysis.power import find_smallest_sample_size, mcnemar_power
 from sweep.core.plot_style import save_figure
 from sweep.report import league as report
 
@@ -44,11 +44,11 @@ def run_race(correlation: float, rng: np.random.Generator, only_best: bool, stop
         only_best: Whether only the best policy is wanted.
         stops: Whether a policy whose pairs are decided takes no more rollouts.
     """
-    race, rollouts, units = league.Race(len(RATES)), 0, 0
+    race, rollouts, units = league.PolicyRace(len(RATES)), 0, 0
     while units < MOST and (is_open := race.undecided_policies(only_best)).any():
         chosen = is_open if stops else np.ones(len(RATES), bool)
         won = outcomes(RATES, STEP, correlation, rng).astype(float)
-        race.add_units(np.where(chosen, won, np.nan))
+        race.add_unit_success_rates(np.where(chosen, won, np.nan))
         rollouts, units = rollouts + STEP * int(chosen.sum()), units + STEP
     return rollouts, bool((race.better & (RATES[:, None] <= RATES)).any())
 
@@ -63,7 +63,9 @@ def fixed_rollouts(correlation: float) -> int:
         both = multivariate_normal.cdf([ndtri(a), ndtri(b)], cov=[[1, correlation], [correlation, 1]])  # pyright: ignore[reportArgumentType]
         lost, gained = a - both, b - both
         level = 1 - 0.05 / (len(RATES) - 1)
-        sizes.append(find_smallest_size(lambda n, p=(lost, gained), v=level: mcnemar_power(n, *p, v) >= 0.9, checked=0))
+        sizes.append(
+            find_smallest_sample_size(lambda n, p=(lost, gained), v=level: mcnemar_power(n, *p, v) >= 0.9, checked=0)
+        )
     return max(sizes) * len(RATES)
 
 
@@ -99,9 +101,9 @@ def error_table(rng: np.random.Generator) -> Table:
             for _ in range(LEAGUES):
                 names = tuple(str(k) for k in range(len(rates)))
                 won = outcomes(rates, POINTS, correlation, rng)
-                one = league.LeagueRows(names, won, np.arange(POINTS), pd.DataFrame(), ())
-                pairs, shares = league.pair_table(one), league.rate_table(one)
-                better = league.better_matrix(pairs, names)
+                one = league.PairedPolicyOutcomes(names, won, np.arange(POINTS), pd.DataFrame(), ())
+                pairs, shares = league.pairwise_test_table(one), league.policy_success_rates(one)
+                better = league.decided_win_matrix(pairs, names)
                 wrong += [
                     (better & (rates[:, None] <= rates)).any(),
                     ((shares["low"] > rates) | (shares["high"] < rates)).any(),
@@ -117,8 +119,8 @@ def main() -> None:
     tables = {"races": race_table(rng), "errors": error_table(rng)}
     names = tuple(f"rate {rate:.2f}" for rate in RATES)
     won = outcomes(RATES, 400, 0.5, rng)
-    one = league.LeagueRows(names, won, np.arange(400), pd.DataFrame(), (0,) * len(names))
-    save_figure(report.draw_league(*report.standings_of(one, 0.95)), FIGURE)
+    one = league.PairedPolicyOutcomes(names, won, np.arange(400), pd.DataFrame(), (0,) * len(names))
+    save_figure(report.draw_league(*report.standings_and_pair_table(one, 0.95)), FIGURE)
     shared.write_tables("league", (), start, tables)
 
 

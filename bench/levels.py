@@ -16,7 +16,7 @@ from scipy.stats import chi2, norm
 from sweep.study import importance_sampling, subset_simulation
 from sweep.study.adaptive_sampling import RoundSummary
 from sweep.study.design_kinds.base import DrawContext
-from sweep.study.design_kinds.importance import Importance, WeightedEstimate
+from sweep.study.design_kinds.importance import ImportanceSampling, WeightedEstimate
 from sweep.study.design_kinds.subset import SubsetEstimate
 
 SUMS = ((2, 1e-3), (8, 1e-3), (8, 1e-5), (8, 1e-7), (50, 1e-5))  # number of parameters, and probability of failure
@@ -80,7 +80,7 @@ def run_importance(fails: Callable[[np.ndarray], np.ndarray], d: int, num: int, 
         draws = search.send(RoundSummary(fails(ndtri(draws.quantiles)), np.zeros(num)))
     rows = pd.DataFrame({f"axis.{name}": values for name, values in draws.columns.items()})
     rows["outcome"] = np.where(fails(ndtri(draws.quantiles)), "failure", "success")
-    return Importance(num=num, rounds=ROUNDS).estimate_failure(rows, DrawContext((), seed))
+    return ImportanceSampling(num=num, rounds=ROUNDS).estimate_failure(rows, DrawContext((), seed))
 
 
 def importance_row(shape: Callable[..., Callable[[np.ndarray], np.ndarray]], d: int, truth: float) -> list[str]:

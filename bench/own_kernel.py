@@ -26,8 +26,8 @@ from sweep.backends import devices
 from sweep.cli.main import main as sweep
 from sweep.core import provenance
 from sweep.core.files import write_atomically
-from sweep.systems.mujoco_model import build_nominal, kernel_engine
-from sweep.systems.mujoco_model.model_spec import SideValues
+from sweep.systems.mujoco_model import build_nominal_system, kernel_engine
+from sweep.systems.mujoco_model.model_spec import ParameterOverrides
 
 DATA = Path(__file__).parents[1] / "research/data/own_kernel.json"
 BIPED = Path(__file__).parents[1] / "tests/data/biped/biped.xml"
@@ -82,7 +82,7 @@ def make_learned() -> Robot:
     return Robot(model, {LOAD: (6.0, 10.0), GRIP: (0.5, 1.0)})
 
 
-def make_standing(text: str, load: tuple[float, float]) -> Robot:
+def make_standing_state(text: str, load: tuple[float, float]) -> Robot:
     """Write a robot and a controller that holds its joints at 0; return them."""
     Path("robot.xml").write_text(text, encoding="utf-8")
     lines = "import jax.numpy as jnp", "def policy(belief, observation, state, key):"
@@ -150,8 +150,8 @@ ROBOTS: dict[str, Callable[[], Robot]] = {
     "quadruped, friction of joints, elliptic cones": partial(make_quadruped, (RUB, CONE)),
     "quadruped, shanks that may touch one another": partial(make_quadruped, (TOUCH,)),
     f"quadruped, learned policy {'-'.join(map(str, LAYERS))}": make_learned,
-    "biped with waist, arms and box feet": lambda: make_standing(BIPED.read_text(encoding="utf-8"), (4.0, 6.0)),
-    "humanoid, four spheres a foot": lambda: make_standing(describe_humanoid(), (3.0, 5.0)),
+    "biped with waist, arms and box feet": lambda: make_standing_state(BIPED.read_text(encoding="utf-8"), (4.0, 6.0)),
+    "humanoid, four spheres a foot": lambda: make_standing_state(describe_humanoid(), (3.0, 5.0)),
     "hexapod, exported, with its walk": make_hexapod,
 }
 
@@ -160,43 +160,43 @@ def make_engine(name: str, robot: Robot, width: int) -> Any:
     """Make an engine of a robot."""
     settings = {"name": name, "width": width, "cross_check": False}
     about = {**robot.model, "period": robot.period, "duration": 1.0}
-    system, settings, *_ = build_nominal(
+    system, settings, *_ = build_nominal_system(
         {"model": about, "engine": settings, "outcome": {"fell": "tilt_max_deg > 60"}}, {}
     )
     return system.make_engine(settings, *system.make_world_and_belief({}), limits=None)
 
 
-def vary_robot(robot: Robot, n: int) -> SideValues:
+def vary_robot(robot: Robot, n: int) -> ParameterOverrides:
     """Return worlds whose loads and grounds differ."""
-    return SideValues(tuple((path, np.linspace(*ends, n)) for path, ends in robot.varied.items()))
+    return ParameterOverrides(tuple((path, np.linspace(*ends, n)) for path, ends in robot.varied.items()))
 
 
-def measure_launches(engine: Any, world: SideValues, n: int) -> tuple[float, float]:
+def measure_launches(engine: Any, world: ParameterOverrides, n: int) -> tuple[float, float]:
     """Return physics steps a second of a second launch, and the seconds to compile and run the first."""
     with engine._within():
-        _, outside, varied, inputs, carry, _, _ = engine._start(world, SideValues(), np.arange(n))
+        _, outside, varied, inputs, carry, _, _ = engine._start(world, ParameterOverrides(), np.arange(n))
         kind = kernel_engine._CpuRunner if jax.default_backend() == "cpu" else kernel_engine._GpuRunner
         walls, begin = [], time.perf_counter()
         runner = kind(partial(engine._compile, varied), inputs, carry, n, np.zeros(0, int))
         for first in (0, CHUNK):
             if outside is None:
-                runner.advance(first, CHUNK)
+                runner.simulate_ticks(first, CHUNK)
             else:
                 for tick in range(first, first + CHUNK):
-                    runner.command(outside.next_controls(runner.observable()))
-                    runner.advance(tick, 1)
-            runner.observable()
+                    runner.set_commands(outside.next_controls(runner.read_observables()))
+                    runner.simulate_ticks(tick, 1)
+            runner.read_observables()
             walls.append(time.perf_counter() - begin)
             begin = time.perf_counter()
     return n * CHUNK * engine._substeps / walls[1], walls[0]
 
 
-def measure_rollouts(engine: Any, world: SideValues, n: int) -> tuple[float, float]:
+def measure_rollouts(engine: Any, world: ParameterOverrides, n: int) -> tuple[float, float]:
     """Return physics steps a second of whole rollouts simulated again, and the seconds of the first time."""
     walls = []
     for _ in range(2):
         begin = time.perf_counter()
-        engine.run(world, SideValues(), np.arange(n))
+        engine.run(world, ParameterOverrides(), np.arange(n))
         walls.append(time.perf_counter() - begin)
     return n * round(1.0 / engine._model.opt.timestep) / walls[1], walls[0]
 
@@ -224,7 +224,9 @@ def measure_robot(engine_name: str, robot: Robot, width: int, again: int) -> lis
     measure = measure_launches if is_kernel else measure_rollouts
     speed, first = measure(engine, vary_robot(robot, n), n)
     few, streams = vary_robot(robot, again), np.arange(again)
-    here, there = (make_engine(one, robot, again).run(few, SideValues(), streams) for one in (engine_name, "native"))
+    here, there = (
+        make_engine(one, robot, again).run(few, ParameterOverrides(), streams) for one in (engine_name, "native")
+    )
     apart = 1e3 * np.abs(np.asarray(here["travelled_m"]) - np.asarray(there["travelled_m"]))
     return [
         str(engine._model.njnt - 1),

@@ -201,7 +201,7 @@ def measure_engine(name: str, width: int, seconds: str) -> Iterator[dict[str, An
     _, played, _ = make_task(name, width, seconds, "model.controller=played:policy")
     found = shortest_times({
         name: lambda: engine.run(*task),
-        f"{name}, its start": lambda: batch.start_batch(own, EngineSettings(), *task).energy(),
+        f"{name}, its start": lambda: batch.make_initial_batch(own, EngineSettings(), *task).energy(),
         **{"native": native, "mjx": on_mjx, "warp": on_warp}[name](own, controls, width),
         f"{name}, played": lambda: played.run(*task),
     })  # fmt: skip

@@ -15,7 +15,7 @@ from scipy.stats import binom
 
 from sweep.analysis import power, sampling_units
 from sweep.analysis.intervals import clopper_pearson, wilson
-from sweep.core.plot_style import COLUMN_WIDTH_IN, legend_below, new_figure, save_figure
+from sweep.core.plot_style import COLUMN_WIDTH_IN, add_legend_below, new_figure, save_figure
 
 Table = list[list[str]]  # columns, then rows
 
@@ -53,7 +53,7 @@ def size_table(rng: np.random.Generator) -> Table:
 
     add("failure probability 1e-4 within ±50 %", rare, 1, is_rare_narrow)
     for a, b, correlation in PAIRED:
-        lost, gained = power.discordant_shares(a, b, correlation)
+        lost, gained = power.discordant_pair_shares(a, b, correlation)
 
         def is_decided(n: int, lost: float = lost, gained: float = gained) -> float:
             counts = rng.multinomial(n, [lost, gained, 1 - lost - gained], STUDIES)
@@ -61,9 +61,9 @@ def size_table(rng: np.random.Generator) -> Table:
             return float(np.mean(2 * binom.cdf(counts[:, :2].min(axis=1), flips, 0.5) <= 0.05))
 
         shares = lost, gained
-        size = power.find_smallest_size(lambda n, shares=shares: power.mcnemar_power(n, *shares) >= 0.9)
+        size = power.find_smallest_sample_size(lambda n, shares=shares: power.mcnemar_power(n, *shares) >= 0.9)
         add(f"{a:g} or {b:g}, paired, correlation {correlation:g}", size, 2, is_decided)
-    unpaired = power.find_smallest_size(lambda n: power.unpaired_power(n, 0.9, 0.8) >= 0.9, 2)
+    unpaired = power.find_smallest_sample_size(lambda n: power.unpaired_test_power(n, 0.9, 0.8) >= 0.9, 2)
 
     def is_told_apart(n: int) -> float:
         a, b = rng.binomial(n, 0.9, STUDIES), rng.binomial(n, 0.8, STUDIES)
@@ -71,7 +71,7 @@ def size_table(rng: np.random.Generator) -> Table:
         return float(np.mean(np.abs(a - b) / n > 1.959964 * np.sqrt(2 * pooled * (1 - pooled) / n)))
 
     add("0.9 or 0.8, different draws", unpaired, 2, is_told_apart)
-    region = power.find_smallest_size(lambda n: power.certification_power(n, 0.6, 0.001, 0.01, 0.95) >= 0.9)
+    region = power.find_smallest_sample_size(lambda n: power.certification_power(n, 0.6, 0.001, 0.01, 0.95) >= 0.9)
 
     def is_certified(n: int) -> float:
         inside = rng.binomial(n, 0.6, STUDIES)
@@ -92,12 +92,12 @@ def unit_table() -> Table:
             noise = interval_coverage.NOISE * interval_coverage.normals(rows, seed) if replicates > 1 else 0.0
             sums = rows["controller.x1"] + rows["controller.x2"] ** 2 + noise
             studies.append((exp, interval_coverage.judged(rows, sums < 0.7)))
-        ends = [sampling_units.condition_rates(rows, exp, []).iloc[0] for exp, rows in studies[:FRESH]]
+        ends = [sampling_units.success_rates_by_condition(rows, exp, []).iloc[0] for exp, rows in studies[:FRESH]]
         predicted = []
         for exp, rows in studies[FRESH:]:
             unit, kind = sampling_units.unit_numbers(rows, exp), sampling_units.independent_unit(exp.study)
             assert unit is not None
-            pilot = power.count_units((rows["outcome"] == "success").to_numpy(), unit, kind.is_even)
+            pilot = power.count_unit_successes((rows["outcome"] == "success").to_numpy(), unit, kind.is_even)
             predicted.append(power.simulated_half_widths(pilot, len(pilot.won)).mean())
         rate = float(np.mean([one["share"] for one in ends]))
         widths = np.mean([(one["high"] - one["low"]) / 2 for one in ends]), np.mean(predicted)
@@ -111,7 +111,7 @@ def draw_power(rng: np.random.Generator) -> None:
     figure = new_figure(0.7 * COLUMN_WIDTH_IN, COLUMN_WIDTH_IN)
     ax = figure.add_subplot()
     for (a, b, correlation), colour in zip(PAIRED, ("#00649E", "#D55E00", "#009E73", "#8E1B5E"), strict=True):
-        lost, gained = power.discordant_shares(a, b, correlation)
+        lost, gained = power.discordant_pair_shares(a, b, correlation)
         sizes = np.unique(np.geomspace(10, 600, 40).astype(int))
         label = f"{a:g}, {b:g}, correlation {correlation:g}"
         ax.plot(sizes, [100 * power.mcnemar_power(int(n), lost, gained) for n in sizes], color=colour, label=label)
@@ -120,7 +120,7 @@ def draw_power(rng: np.random.Generator) -> None:
             p = 2 * binom.cdf(counts[:, :2].min(axis=1), counts[:, :2].sum(axis=1), 0.5)
             ax.plot(n, 100 * np.mean(p <= 0.05), "o", markersize=3, color=colour)
     ax.set(xlabel="pairs", ylabel="power, %", ylim=(0, 101), xlim=(0, 600))
-    legend_below(figure, ax.get_legend_handles_labels()[0])
+    add_legend_below(figure, ax.get_legend_handles_labels()[0])
     save_figure(figure, FIGURE)
 
 

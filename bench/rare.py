@@ -123,13 +123,13 @@ def plain(exp: Experiment, num: int, before: int) -> RoundDraws:
 
 def adaptive_rounds(exp: Experiment) -> Ask:
     """Generate all rounds of an adaptive study."""
-    design = exp.study.search_design
+    design = exp.study.adaptive_design
     search = design.start_search(exp.study.draw_context)
     draws, every = next(search), []
     while True:
         every.append((yield draws))
         try:
-            draws = search.send(design.summarize(every[-1], draws))
+            draws = search.send(design.summarize_finished_round(every[-1], draws))
         except StopIteration:
             return pd.concat(every, ignore_index=True)
 

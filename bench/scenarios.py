@@ -26,13 +26,13 @@ def speed(name: str, width: int) -> str:
     settings = replace(exp.settings, width=width or devices.default_batch_width())
     engine = MjxEngine(settings, exp.case, exp.case, exp.thresholds)
     world = replace(exp.case, contact=replace(exp.case.contact, friction=np.linspace(0.6, 1.0, settings.width)))
-    with program_cache.without_cache():
+    with program_cache.disable_compilation_caches():
         start = time.perf_counter()
         (world, belief, keys), programs, *_ = engine._prepare(
             world, exp.case, np.zeros(settings.width, int), None, 1, None
         )
         compiled = time.perf_counter() - start
-    plans, carry = programs.start(world, belief, keys)
+    plans, carry = programs.make_initial_batch(world, belief, keys)
     walls = []
     for k in range(SECONDS):
         start = time.perf_counter()

@@ -50,12 +50,12 @@ def make_folder(folder: Path, number: int) -> None:
     """Write a finished study of `number` rows."""
     fake_engine.install()
     exp = compose([*study_overrides(number), f"out={folder}"])
-    job = runner.prepare_job(exp, folder, runner.select_points(exp))
+    job = runner.prepare_job(exp, folder, runner.select_points_to_simulate(exp))
     donor, stages = store.read_rows(DONOR), store.read_study(DONOR)["stages"][0]
     figures, chance = donor[metric_columns(donor)].astype(float), np.random.default_rng(0)
     tally = runner.RunRecord({0: stages}, ["none: made by bench/size.py"])
     with store.lock_folder(folder):
-        runner.write_description(job, tally)
+        runner.write_study_file(job, tally)
         store.write_points(folder, job.table)
         batches = job.missing_batches()
         for first in range(0, len(batches), PART):

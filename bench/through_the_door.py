@@ -22,7 +22,7 @@ import pandas as pd
 from sweep.analysis.intervals import wilson
 from sweep.config.experiment import compose
 from sweep.runs import store
-from sweep.runs.runner import select_points
+from sweep.runs.runner import select_points_to_simulate
 
 GEOMS = {"walk_map": ["ground"], "pole_map": ["floor", "pole", "ledge"]}
 RADII = (0.35, 0.42, 0.49)  # m
@@ -43,7 +43,7 @@ def sweep(args: list[str], folder: Path, log: Path, cores: list[int], engine: st
 
 def points(name: str, number: int) -> pd.DataFrame:
     """Return points drawn evenly from the area of a study's map; larger sets start with smaller ones."""
-    grid = select_points(compose([f"study={name}"]))
+    grid = select_points_to_simulate(compose([f"study={name}"]))
     drawn = np.random.default_rng(0).random((number, 2))
     low, high = grid[FRICTION].min(), grid[FRICTION].max()
     table = pd.DataFrame({FRICTION: low + (high - low) * drawn[:, 0]})

@@ -39,7 +39,7 @@ def calibration_table(rng: np.random.Generator) -> Table:
             found = []
             for _ in range(SETS):
                 won = succeed(c, rng.random(len(c)), threshold, rng)
-                found.append(trials.calibration(np.repeat(rates, repeats), won))
+                found.append(trials.assess_prediction_calibration(np.repeat(rates, repeats), won))
             wrong = np.mean([one.p_value < 0.05 for one in found])
             brier, expected = (np.mean([getattr(one, key) for one in found]) for key in ("brier", "expected_brier"))
             table.append([name, f"{len(c)}", f"{brier:.3f}", f"{expected:.3f}", f"{100 * wrong:.0f} %"])
@@ -56,8 +56,8 @@ def belief_tables(rng: np.random.Generator) -> Table:
             for _ in range(SETS):
                 values = pd.DataFrame({"x": rng.random(DRAWS), "y": rng.random(DRAWS)})
                 simulated = norm.cdf((1.2 - c - values[["x"]].to_numpy()) / NOISE)
-                weights = trials.belief_weights(simulated, succeed(c, np.array(x), 1.2, rng), 0.01)
-                found = trials.belief_table(values, weights).set_index("parameter")
+                weights = trials.draw_likelihood_weights(simulated, succeed(c, np.array(x), 1.2, rng), 0.01)
+                found = trials.prior_posterior_table(values, weights).set_index("parameter")
                 moved = found["p_holm"] < 0.05
                 lines.append(
                     (found.loc["x", "mean_after"], found.loc["x", "sd_after"], moved["x"], moved["y"],

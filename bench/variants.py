@@ -14,7 +14,7 @@ import numpy as np
 from mujoco import mjx
 
 from sweep.backends import devices
-from sweep.cli.commands.bench import measure_seconds
+from sweep.cli.commands.bench import measure_wall_time
 from sweep.config.experiment import compose
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics import mjx as mjx_dynamics
@@ -35,19 +35,21 @@ def variants(nominal: Case, count: int) -> Case:
 
 def seconds(work: Callable[[], object]) -> float:
     """Return the shortest of three runs (s)."""
-    return min(measure_seconds(lambda: jax.block_until_ready(work())) for _ in range(3))
+    return min(measure_wall_time(lambda: jax.block_until_ready(work())) for _ in range(3))
 
 
 def main() -> None:
     """Print both."""
     devices.configure_jax()
     nominal = compose(["robot=base"]).case
-    top, batch = dynamics.topology(nominal), variants(nominal, BATCH)
+    top, batch = dynamics.build_model_topology(nominal), variants(nominal, BATCH)
     model = mjx.put_model(top.model)
-    make = jax.jit(jax.vmap(partial(mjx_dynamics.varying_fields, top, model), in_axes=(devices.batch_axes(batch),)))
+    make = jax.jit(
+        jax.vmap(partial(mjx_dynamics.parameter_dependent_fields, top, model), in_axes=(devices.vmap_in_axes(batch),))
+    )
     arrays = devices.to_jax_arrays(batch)
     rate = BATCH / seconds(lambda: make(arrays))
-    several = [batching.select_row(batch, k) for k in range(ONE_BY_ONE)]
+    several = [batching.rollout_parameters(batch, k) for k in range(ONE_BY_ONE)]
     single = ONE_BY_ONE / seconds(lambda: [mjx.put_model(compile_model(case, geoms=False)) for case in several])
     print(f"leaves: {rate:,.0f} variants/s\nput_model: {single:,.0f} variants/s")
 

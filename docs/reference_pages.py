@@ -28,7 +28,7 @@ from sweep.runs import manifest, store
 from sweep.study import columns, design_kinds, designs, distributions
 from sweep.study.analytic_limits import LIMIT_KEYS as THEORY_KEYS
 from sweep.study.design_kinds.base import GRIDS, Design
-from sweep.study.study import Expectation, StudySchema
+from sweep.study.study import RateExpectation, StudySchema
 from sweep.systems.mujoco_model import (
     disturbances,
     fields,
@@ -301,7 +301,7 @@ def policy_file_page() -> str:
         "## `observation[]`",
         "A term is its name, or a mapping with these keys. Errors of measurement come first, then `clip`, then "
         "`scale`, then earlier ticks.",
-        keys(policy_spec.TermSpec),
+        keys(policy_spec.ObservationTermSpec),
         table(("term", "unit", "also called"), terms),
         "`base_*` and `projected_gravity` are those of the first free joint's body, in its axes. With the key `sensor` "
         "a term is read from a sensor instead, such as a height scan from rangefinders.",
@@ -372,7 +372,7 @@ def study_file_page() -> str:
         "A list; exit code 4 says that an entry does not hold. Among the valid rows that match `where`, the "
         "share of those "
         "that match `that` lies within the limits.",
-        keys(Expectation),
+        keys(RateExpectation),
         "## `study.theory`",
         "A list of closed-form limits that maps show as dashed lines.",
         named(

@@ -259,7 +259,7 @@ def summary(found: Results, target: dict[str, Any]) -> dict[str, Any]:
         "valid": whole.valid_count,
         "success": whole.successes,
         "causes": causes(rows),
-        "along": {axis: along(found, axis) for axis in (*found.categorical_columns, *found.listed_numeric_columns)},
+        "along": {axis: along(found, axis) for axis in (*found.categorical_columns, *found.numeric_grid_columns)},
         "map": cells(found, tuple(target.get("map", ()))),
         "figures": extremes(found),
         **({"groups": groups(found.rows, target)} if "by" in target else {}),

@@ -19,11 +19,11 @@ from one_run import traced
 from sweep import load
 from sweep.analysis.intervals import wilson
 from sweep.contract.engine import Trace
-from sweep.contract.trace_frames import base_pose, mass_centres
-from sweep.core.plot_style import LEG_COLORS, legend_below, new_figure, plot_style, save_figure
+from sweep.contract.trace_frames import base_pose, centres_of_mass
+from sweep.core.plot_style import LEG_COLORS, add_legend_below, new_figure, plot_style, save_figure
 from sweep.core.rotations import matrix, rotate
 from sweep.formulas.ball import GRAVITY, ROLLING_INERTIA, lateral_mu
-from sweep.manoeuvres.balancing.ball_aside import BallAside, lateral_gain
+from sweep.manoeuvres.balancing.ball_aside import BallAside, lateral_lean_gain
 from sweep.manoeuvres.balancing.ball_climb import BallClimb
 from sweep.manoeuvres.balancing.ball_descend import BallDescend
 from sweep.manoeuvres.balancing.ball_over import BallCrossing
@@ -78,7 +78,7 @@ def descent(trace: Trace) -> Figure:
         ahead = np.asarray(rotate(jnp.asarray(base[:, 3:7]), jnp.array([end * half, 0.0, 0.0])))
         axes[0].plot(time, base[:, 2] + ahead[:, 2], style, label="base, front" if end > 0 else "base, rear")
     axes[1].plot(time, trace.qvel[:, -6], "k")
-    over = mass_centres(trace, slice(None)) - ball[:, :3]
+    over = centres_of_mass(trace, slice(None)) - ball[:, :3]
     phi = np.degrees(np.arctan2(over[:, 2], over[:, 0]))
     axes[2].plot(time, np.mod(phi + 90, 360) - 90, "k")  # no jump on the ball's near side
     for ax, label in zip(
@@ -87,7 +87,7 @@ def descent(trace: Trace) -> Figure:
         ax.set_ylabel(label)
         ax.grid(alpha=0.3)
     axes[3].set_xlabel("time (s)")
-    legend_below(figure, axes[0].get_legend_handles_labels()[0])
+    add_legend_below(figure, axes[0].get_legend_handles_labels()[0])
     return figure
 
 
@@ -96,7 +96,7 @@ def driven_aside(trace: Trace, case: Case, aside: BallAside) -> Figure:
     figure = new_figure(3.6)
     axes = figure.subplots(2, 1, sharex=True)
     time = trace.time
-    over = (mass_centres(trace, slice(None)) - trace.qpos[:, -7:-4])[:, 1]
+    over = (centres_of_mass(trace, slice(None)) - trace.qpos[:, -7:-4])[:, 1]
     speeds = promised(time, case, aside)
     axes[0].plot(time, 1e3 * trace.qvel[:, -5], color=ACTUAL_COLOUR, label="ball")
     axes[0].plot(time, 1e3 * speeds, color=REFERENCE_COLOUR, ls="--", label="(3.3.7), with rolling friction")
@@ -105,7 +105,7 @@ def driven_aside(trace: Trace, case: Case, aside: BallAside) -> Figure:
     axes[1].set(ylabel="mass centre (mm)", xlabel="time (s)")
     for ax in axes:
         ax.grid(alpha=0.3)
-    legend_below(figure, axes[0].get_legend_handles_labels()[0])
+    add_legend_below(figure, axes[0].get_legend_handles_labels()[0])
     return figure
 
 
@@ -117,7 +117,7 @@ def promised(time: np.ndarray, case: Case, aside: BallAside) -> np.ndarray:
     ball, mass = case.obstacle_of_type(Ball), float(total_mass(case.robot))
     plan = aside.plan(case)
     over = (
-        float(lateral_gain(case, plan, aside.period))
+        float(lateral_lean_gain(case, plan, aside.period))
         * aside.speed
         * np.asarray(lateral_mu(aside.period, jnp.asarray(time)).mu)
     )
@@ -159,7 +159,7 @@ def draw_way(trace: Trace) -> Figure:
     forces.set(ylabel="normal force (N)", xlabel="time (s)")
     for axes in (heights, place, forces):
         axes.grid(alpha=0.3)
-    legend_below(figure, [one for axes in (heights, place) for one in axes.get_legend_handles_labels()[0]])
+    add_legend_below(figure, [one for axes in (heights, place) for one in axes.get_legend_handles_labels()[0]])
     return figure
 
 

@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from one_run import traced
 
 from sweep.contract.engine import Trace
-from sweep.contract.trace_frames import base_pose, mass_centres
-from sweep.core.plot_style import LEG_COLORS, legend_below, new_figure, plot_style, save_figure
+from sweep.contract.trace_frames import base_pose, centres_of_mass
+from sweep.core.plot_style import LEG_COLORS, add_legend_below, new_figure, plot_style, save_figure
 from sweep.core.rotations import rotate
 from sweep.formulas.ball import GRAVITY, ROLLING_INERTIA
 from sweep.models.obstacles.ball import Ball
@@ -49,7 +49,7 @@ def ledges(trace: Trace) -> Figure:
     obstacle = trace.world.obstacle_of_type(Ledges)
     figure = new_figure(4.6)
     axes = figure.subplot_mosaic("ab;cc", height_ratios=[3, 2])
-    centre, ball, time = mass_centres(trace, slice(None)), trace.qpos[:, -7:-4], trace.time
+    centre, ball, time = centres_of_mass(trace, slice(None)), trace.qpos[:, -7:-4], trace.time
     rolls, off = begins(trace, "roll"), begins(trace, "off.")
     for ax, now, edge in ((axes["a"], time < rolls, 0.0), (axes["b"], time >= off, obstacle.width)):
         for leg in FEET:
@@ -67,7 +67,7 @@ def ledges(trace: Trace) -> Figure:
     axes["c"].set(xlabel="time (s)", ylabel="speed of the ball (m/s)")
     for ax in axes.values():
         ax.grid(alpha=0.3)
-    legend_below(figure, [one for ax in (axes["a"], height) for one in ax.get_legend_handles_labels()[0]])
+    add_legend_below(figure, [one for ax in (axes["a"], height) for one in ax.get_legend_handles_labels()[0]])
     return figure
 
 
@@ -91,7 +91,7 @@ def balls(trace: Trace) -> Figure:
             axes.axvline(begins(trace, word), color="0.6", lw=0.8)
             axes.text(begins(trace, word), 0.97, f" {numeral}", transform=axes.get_xaxis_transform(), va="top")
     speeds.set_xlabel("time (s)")
-    legend_below(figure, [one for axes in (heights, speeds) for one in axes.get_legend_handles_labels()[0]])
+    add_legend_below(figure, [one for axes in (heights, speeds) for one in axes.get_legend_handles_labels()[0]])
     return figure
 
 

@@ -29,7 +29,7 @@ from sweep.analysis.intervals import wilson
 from sweep.core.errors import InputError
 from sweep.core.provenance import is_current_code
 from sweep.metrics.outcome import COLUMN_MEANINGS
-from sweep.report.labels import axis_words, name_and_unit
+from sweep.report.labels import axis_words, split_metric_column
 
 RESEARCH = Path(__file__).parent
 DOCS = RESEARCH.parent / "docs"
@@ -187,7 +187,7 @@ def nominal(name: str, runs: str, figures: str) -> str:
 
 def in_words(figure: str, how: str = "") -> str:
     """`slip_max_m` -> `slip max (mm)`."""
-    words, unit = name_and_unit(figure)
+    words, unit = split_metric_column(figure)
     words = f"{words}, {how}" if how else words
     return f"{words} ({'mm' if unit == 'm' else unit})" if unit else words
 
@@ -195,7 +195,7 @@ def in_words(figure: str, how: str = "") -> str:
 def told(figure: str, least: float, greatest: float) -> str:
     """The worse end of a figure, lengths in mm."""
     worse = least if "min" in figure.split("_") else greatest
-    shown = 1000 * worse if name_and_unit(figure)[1] == "m" else worse
+    shown = 1000 * worse if split_metric_column(figure)[1] == "m" else worse
     return f"{shown:.3g}" if abs(shown) < 1000 else f"{shown:.0f}"
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sweep.core.plot_style import COLUMN_WIDTH_IN, DPI, PAGE_WIDTH_IN, legend_below, new_figure, plot_style
+from sweep.core.plot_style import COLUMN_WIDTH_IN, DPI, PAGE_WIDTH_IN, add_legend_below, new_figure, plot_style
 from sweep.formulas.ball import ball_climb, lateral_mu, stabilise_delta
 from sweep.formulas.ball_reach import max_ball
 from sweep.formulas.corner import corner_balanced, corner_equalN, corner_least_friction, corner_min_squeeze
@@ -26,7 +26,7 @@ RAFT = {"a": 1.575, "b": 1.05, "d": 0.105, "gamma": 9810.0}
 
 def save(figure: Figure, name: str) -> None:
     """Write research/figures/formulas_NAME.png, with a legend below where lines have names."""
-    legend_below(figure, [line for panel in figure.axes for line in panel.get_legend_handles_labels()[0]])
+    add_legend_below(figure, [line for panel in figure.axes for line in panel.get_legend_handles_labels()[0]])
     figure.savefig(FIGURES / f"formulas_{name}.png", dpi=DPI)
 
 

@@ -13,7 +13,7 @@ from one_run import traced
 
 from sweep.config.experiment import compose
 from sweep.controllers.plan import Plan, reference_stance
-from sweep.core.plot_style import DPI, legend_below, new_figure, plot_style
+from sweep.core.plot_style import DPI, add_legend_below, new_figure, plot_style
 from sweep.formulas.leg import SIDE_BY_LEG
 from sweep.formulas.thesis import thesis_workspace
 from sweep.manoeuvres.walking.waypoints import CIRCLE, TRIPODS, WAYPOINTS, Waypoints
@@ -71,13 +71,13 @@ def way_points(_: str) -> str:
     with jax.enable_x64(True):
         case = compose([SCENARIO, *AS_PRINTED]).case
         assert isinstance(case.manoeuvre, Waypoints)
-        gone = np.linalg.norm(case.manoeuvre.cycle_steps(case.robot), axis=1)
+        gone = np.linalg.norm(case.manoeuvre.gait_cycle_steps(case.robot), axis=1)
         begins = np.cumsum([0.0, *2 * gone])[:-1]  # m along the way, a cycle being two steps
         far = 0.0
         for start, end in pairwise(WAYPOINTS):
             left = np.subtract(end, start)
             length = float(np.linalg.norm(left))
-            largest = np.asarray(case.manoeuvre.largest_steps(case.robot, jnp.asarray(left / length)))
+            largest = np.asarray(case.manoeuvre.largest_step_by_leg(case.robot, jnp.asarray(left / length)))
             legs = sorted(CIRCLE.index(int(leg) + 1) + 1 for leg in np.flatnonzero(largest < largest.min() + 1e-6))
             within = gone[(begins > far - 1e-6) & (begins < far + length - 1e-6) & (gone > 0)]
             told = f"{largest.min():.4f} | {' and '.join(map(str, legs))} | {', '.join(f'{one:.4f}' for one in within)}"
@@ -128,7 +128,7 @@ def angles(case: Case) -> None:
     values = thesis_angles(motion.joints)
     robot = case.robot
     assert isinstance(case.manoeuvre, Waypoints)
-    height = case.manoeuvre.home_position(robot)[1]
+    height = case.manoeuvre.neutral_foot_position(robot)[1]
     widest = float(thesis_workspace(-height, robot.coxa, robot.thigh, robot.shin, robot.mount_radius).phimax)
     ranges = ((-widest, widest), (0, np.pi / 2), (-np.pi, -1.4))  # γ is printed up to -pi/2, but goes beyond it
     figure = new_figure(7.0)
@@ -164,7 +164,7 @@ def physics() -> None:
         error.plot(trace.time, deviation, color=shade, label=name)
     error.set(xlabel="time (s)", ylabel="centre, actual\n- planned (mm)")
     error.grid(alpha=0.3)
-    legend_below(figure, [line for panel in (above, error) for line in panel.get_legend_handles_labels()[0]])
+    add_legend_below(figure, [line for panel in (above, error) for line in panel.get_legend_handles_labels()[0]])
     save(figure, "physics")
 
 

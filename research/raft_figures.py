@@ -11,7 +11,7 @@ from one_run import traced
 
 from sweep.contract.engine import Trace
 from sweep.contract.trace_frames import base_pose
-from sweep.core.plot_style import LEG_COLORS, legend_below, new_figure, plot_style, save_figure
+from sweep.core.plot_style import LEG_COLORS, add_legend_below, new_figure, plot_style, save_figure
 from sweep.systems.hexapod.plots import ACTUAL_COLOUR
 
 PATH = Path(__file__).parent / "figures" / "raft_crossing.png"
@@ -39,7 +39,7 @@ def crossing(trace: Trace) -> Figure:
             axes.axvline(time[k], color="0.6", lw=0.8)
             axes.text(time[k], 0.97, f" {numeral}", transform=axes.get_xaxis_transform(), va="top")
     heading.set_xlabel("time (s)")
-    legend_below(figure, way.get_legend_handles_labels()[0])
+    add_legend_below(figure, way.get_legend_handles_labels()[0])
     return figure
 
 

@@ -13,7 +13,7 @@ import pandas as pd
 from PIL import Image
 
 from sweep.analysis.intervals import wilson
-from sweep.core.plot_style import DPI, FONT_SIZE_PT, legend_below, new_figure, plot_style, wrap_text
+from sweep.core.plot_style import DPI, FONT_SIZE_PT, add_legend_below, new_figure, plot_style, wrap_text
 from sweep.core.plot_style import PAGE_WIDTH_IN as PAGE_WIDTH
 
 RESEARCH = Path(__file__).parent
@@ -182,7 +182,7 @@ def draw_rates(rates: pd.DataFrame, name: str) -> None:
     panels[0, 0].set_ylim(-3, 103)
     for panel in panels[:, 0]:
         panel.set_ylabel("succeed, %")
-    legend_below(figure, panels[0, 0].get_legend_handles_labels()[0])
+    add_legend_below(figure, panels[0, 0].get_legend_handles_labels()[0])
     figure.savefig(picture := BytesIO(), dpi=DPI)
     Image.open(picture).convert("RGB").quantize(32).save(RESEARCH / "figures" / f"{name}.png", optimize=True)
 

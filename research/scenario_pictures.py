@@ -12,7 +12,7 @@ import numpy as np
 from sweep.config.experiment import compose
 from sweep.contract.trace_frames import count_finite_frames
 from sweep.core.spacing import evenly_spaced_indices
-from sweep.replay.rendering import write_strip
+from sweep.replay.rendering import write_filmstrip
 from sweep.runs.batches import Batch, make_engine
 
 FIGURES = Path(__file__).parent / "figures"
@@ -26,7 +26,7 @@ def strip(scenario: str, *changes: str) -> Path:
     engine = make_engine(exp, one)
     trace = engine.trace(exp.case, exp.case, one.streams, 0)
     path = FIGURES / f"scenario_{scenario}.png"
-    write_strip(path, trace, evenly_spaced_indices(count_finite_frames(trace), 4 if engine.duration < LONG else 8))
+    write_filmstrip(path, trace, evenly_spaced_indices(count_finite_frames(trace), 4 if engine.duration < LONG else 8))
     return path
 
 

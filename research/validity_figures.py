@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.lines import Line2D
 
-from sweep.core.plot_style import legend_below, new_figure, plot_style
+from sweep.core.plot_style import add_legend_below, new_figure, plot_style
 from sweep.report.outcome_style import OUTCOME_STYLES
 
 RESEARCH = Path(__file__).parent
@@ -262,7 +262,7 @@ def draw_precision(rows: list[Row], path: Path) -> None:
             axes.tick_params(axis="x", which="minor", labelsize=5)  # of less than a decade all are labelled
         for axes in panels[::2]:
             axes.set_ylabel("simulated s in a second")
-        legend_below(figure, [*_legend(rows)])
+        add_legend_below(figure, [*_legend(rows)])
         figure.savefig(path, dpi=110)
 
 

@@ -18,7 +18,7 @@ from sweep.core.plot_style import plot_style
 from sweep.report import draws, maps, page, time_series_plots
 from sweep.report.labels import column_unit
 from sweep.runs import results, store
-from sweep.study.study import name_axes
+from sweep.study.study import attach_axis_names
 
 if TYPE_CHECKING:
     import xarray
@@ -53,7 +53,7 @@ def load(folder: str | PathLike[str], where: str | None = None, columns: Sequenc
     exp = results.load_experiment(folder)
     if columns is not None:
         return _load_columns(folder, exp, where, columns)
-    rows = name_axes(store.read_rows(folder), exp.study.axes)
+    rows = attach_axis_names(store.read_rows(folder), exp.study.axes)
     if where:
         rows = rows[condition_mask(rows, where)].reset_index(drop=True)
     aliases = {name: rows[column] for name, column in rows.attrs[AXIS_NAMES_KEY].items() if name not in rows}
@@ -66,10 +66,10 @@ def load(folder: str | PathLike[str], where: str | None = None, columns: Sequenc
 def _load_columns(folder: Path, exp: Experiment, where: str | None, columns: Sequence[str]) -> pd.DataFrame:
     if isinstance(columns, str) or not columns:
         raise InputError(f"columns = {columns!r} is not allowed: a list of names, such as ['outcome', 'slip_max_m']")
-    empty = results.empty_rows(folder, exp)
+    empty = results.make_empty_row_table(folder, exp)
     names = {name: find_column(empty, name) for name in columns}
     wanted = [*dict.fromkeys([*names.values(), *condition_columns(empty, where)])]
-    rows = name_axes(store.read_rows(folder, wanted), exp.study.axes)
+    rows = attach_axis_names(store.read_rows(folder, wanted), exp.study.axes)
     chosen = rows[condition_mask(rows, where)].reset_index(drop=True) if where else rows
     return _tidy(pd.DataFrame({name: chosen[own] for name, own in names.items()}), exp)
 
@@ -107,7 +107,7 @@ class RowsAccessor:
         """Draw the overview of random draws: every draw, the importance of each parameter, margins to failure. Raises
         `InputError`."""
         found = self._results()
-        if not draws.drawn_columns(found):
+        if not draws.numeric_drawn_columns(found):
             raise InputError(f"{self._folder} has no axis with a distribution of numbers: use `map` instead")
         with plot_style():
             return draws.draw_overview(found)
@@ -115,7 +115,7 @@ class RowsAccessor:
     def histories(self) -> pd.DataFrame:
         """Return the stored time series of these rows, one sample a line: `point_id`, `outcome`, `time_s` and the
         recorded columns. Raises `InputError`."""
-        return time_series_plots.load_samples(self._results())
+        return time_series_plots.load_time_series(self._results())
 
     def to_xarray(self) -> "xarray.Dataset":
         """Convert these rows to an xarray dataset with a dimension for each listed axis, and `replicate` where points
@@ -124,7 +124,7 @@ class RowsAccessor:
         Points that were not run are NaN; `attrs` hold units. Raises `InputError` where there is no grid or no xarray.
         """
         found = self._results()
-        axes = found.listed_numeric_columns + [name for name in found.categorical_columns if name in self._rows]
+        axes = found.numeric_grid_columns + [name for name in found.categorical_columns if name in self._rows]
         if not axes:
             raise InputError(f"{self._folder} has no grid: no axis with listed values varies")
         try:
@@ -160,7 +160,7 @@ class RowsAccessor:
             raise InputError(f"no row of {self._folder} is selected")
         stored = store.read_study(self._folder)
         exp = results.load_experiment(self._folder)
-        rows, copies = drop_repeated_rollouts(name_axes(self._rows, exp.study.axes), exp)
+        rows, copies = drop_repeated_rollouts(attach_axis_names(self._rows, exp.study.axes), exp)
         return results.Results(self._folder, stored, exp, rows, None, len(self._rows), copies)
 
 

@@ -47,9 +47,9 @@ def recorded(unrecorded, monkeypatch):
 def fake_engine(monkeypatch, request):
     """Every engine that is made is a fake one, of another class where a test is parametrised by one."""
     monkeypatch.setattr(sweep.engines, "make_engine", getattr(request, "param", FakeEngine))
-    batches.forget_engine()
+    batches.clear_engine_cache()
     yield
-    batches.forget_engine()
+    batches.clear_engine_cache()
 
 
 @pytest.fixture(scope="session")
@@ -58,9 +58,9 @@ def whole(tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sweep.engines, "make_engine", FakeEngine)
-        batches.forget_engine()
+        batches.clear_engine_cache()
         assert main(["run", *STUDY, f"out={folder}"]) == 0
-        batches.forget_engine()
+        batches.clear_engine_cache()
     return content(folder)
 
 

@@ -29,7 +29,7 @@ class FakeEngine:
     def rollout_bytes(self):
         return 2048
 
-    def find_unread_columns(self, sides, ends):
+    def find_inactive_parameters(self, sides, ends):
         """Return all columns but the two that `run` reads, and what obstacles and sensors may have."""
         read = ("contact.friction", "manoeuvre.half_step_ratio", "obstacle.", "noise.")
         return {c for c in ends if not split_side_prefix(c)[1].startswith(read)}

@@ -28,12 +28,12 @@ import numpy as np
 import sweep
 from sweep.backends import devices
 from sweep.config.experiment import compose
-from sweep.engines.closed_loop import classify_sensing
+from sweep.engines.closed_loop import required_sensing_mode
 from sweep.engines.mjx import MjxEngine
 from sweep.fused import cuda, launch
-from sweep.systems.mujoco_model import build_nominal
+from sweep.systems.mujoco_model import build_nominal_system
 from sweep.systems.mujoco_model.kernel_engine import KernelModelEngine
-from sweep.systems.mujoco_model.model_spec import SideValues
+from sweep.systems.mujoco_model.model_spec import ParameterOverrides
 
 DATA = Path(__file__).with_name("data")
 PATH = DATA / "kernel_counts.json"
@@ -56,17 +56,17 @@ ARCHITECTURE = "sm_90"  # H100 and H200
 Counts = dict[str, int]
 
 
-def kernel_printer(name: str) -> tuple[launch.TracedProgram, cuda.GpuPrinter]:
+def kernel_printer(name: str) -> tuple[launch.TracedProgram, cuda.GpuKernelPrinter]:
     """The program of a scenario's closed loop, and its text for a GPU; nothing is simulated."""
     exp = compose([f"scenario={name}"])
     engine = MjxEngine(replace(exp.settings, width=WIDTH), exp.case, exp.case, exp.thresholds)
     cases = jax.tree.map(lambda x: jax.ShapeDtypeStruct((), x.dtype), devices.to_jax_arrays((exp.case, exp.case)))
     key = jax.eval_shape(partial(jax.random.key, 0))
-    plan, carry = jax.eval_shape(partial(engine._start, classify_sensing(exp.case.noise)), *cases, key)
-    return launch.print_program(engine._tick, (*cases, plan), carry, lambda carry: carry.is_over, TICKS, 0, WIDTH)
+    plan, carry = jax.eval_shape(partial(engine._start, required_sensing_mode(exp.case.noise)), *cases, key)
+    return launch.print_llvm_program(engine._tick, (*cases, plan), carry, lambda carry: carry.is_over, TICKS, 0, WIDTH)
 
 
-def model_printer(name: str) -> tuple[launch.TracedProgram, cuda.GpuPrinter]:
+def model_printer(name: str) -> tuple[launch.TracedProgram, cuda.GpuKernelPrinter]:
     """The program of a MuJoCo model's closed loop by `engine=kernel`, and its text for a GPU; nothing is simulated."""
     folder, model, varied = MODELS[name]
     with contextlib.chdir(folder):
@@ -75,21 +75,21 @@ def model_printer(name: str) -> tuple[launch.TracedProgram, cuda.GpuPrinter]:
             "engine": {"name": "kernel", "width": WIDTH},
             "outcome": {"fell": "tilt_max_deg > 60"},
         }
-        system, settings, *_ = build_nominal(values, {})
+        system, settings, *_ = build_nominal_system(values, {})
         engine = system.make_engine(settings, *system.make_world_and_belief({}), limits=None)
         assert isinstance(engine, KernelModelEngine)
-        world = SideValues(tuple((path, np.ones(2)) for path in varied))
+        world = ParameterOverrides(tuple((path, np.ones(2)) for path in varied))
         with engine._within():
-            _, _, varied, inputs, carry, *_ = engine._start(world, SideValues(), np.arange(2))
+            _, _, varied, inputs, carry, *_ = engine._start(world, ParameterOverrides(), np.arange(2))
             inputs, carry = (
                 jax.tree.map(lambda one: jax.ShapeDtypeStruct(one.shape[1:], one.dtype), tree)
                 for tree in (inputs, carry)
             )
             tick, is_over = partial(engine._tick, varied), operator.attrgetter("over")
-            return launch.print_program(tick, inputs, carry, is_over, TICKS, 0, WIDTH, engine._layout.group)
+            return launch.print_llvm_program(tick, inputs, carry, is_over, TICKS, 0, WIDTH, engine._layout.group)
 
 
-def text_counts(program: launch.TracedProgram, printer: cuda.GpuPrinter) -> Counts:
+def text_counts(program: launch.TracedProgram, printer: cuda.GpuKernelPrinter) -> Counts:
     """Sizes of a kernel from its text.
 
     Returns:
@@ -116,7 +116,7 @@ def ptxas_release() -> str | None:
     return re.search(r"release ([\d.]+)", told)[1]
 
 
-def register_counts(printer: cuda.GpuPrinter) -> Counts:
+def register_counts(printer: cuda.GpuKernelPrinter) -> Counts:
     """Registers of a thread, and bytes that it spills and loads again, by `ptxas`."""
     with cuda.ptx_compiler() as compiler, tempfile.NamedTemporaryFile("w", suffix=".ptx") as file:
         file.write(compiler(printer.module_text()))

@@ -7,7 +7,7 @@ import pandas as pd
 
 from sweep.config.experiment import compose
 from sweep.runs import batches
-from sweep.runs.runner import select_points
+from sweep.runs.runner import select_points_to_simulate
 
 
 def write_texts(texts, folder="."):
@@ -21,7 +21,7 @@ def write_texts(texts, folder="."):
 def prepare_batch(*words, cross_check=True):
     """The engine of `study=one.yaml`, and the sides and streams of a batch of all its rollouts."""
     exp = compose(["study=one.yaml", *words])
-    rows = select_points(exp)
+    rows = select_points_to_simulate(exp)
     exp = batches.allocate_delay_buffers(exp, rows)
     rows = batches.assign_batches(exp, pd.DataFrame(), rows).assign(width=len(rows))
     task = batches.make_batch(exp, rows)

@@ -74,7 +74,7 @@ def record_plan(name: str, count: int = DRAWS) -> dict[str, np.ndarray]:
             for path, values in drawn.items():
                 case = replace_parameter(case, path, float(values[k]))
             try:
-                plan = drop_idle_lifts(eager.evaluate_constants(partial(without_forces, case)))
+                plan = drop_idle_lifts(eager.evaluate_constant_function(partial(without_forces, case)))
             except InputError:
                 sums.append(np.full_like(sums[0], np.nan))
                 continue
@@ -91,11 +91,11 @@ def record_plan(name: str, count: int = DRAWS) -> dict[str, np.ndarray]:
 
 def without_forces(case: Case) -> Any:
     """Return the plan of a case before forces are planned."""
-    kept, PlannedForces.with_feedforward = PlannedForces.with_feedforward, lambda self, belief, plan: plan
+    kept, PlannedForces.add_force_feedforward = PlannedForces.add_force_feedforward, lambda self, belief, plan: plan
     try:
         return case.manoeuvre.plan(case)
     finally:
-        PlannedForces.with_feedforward = kept
+        PlannedForces.add_force_feedforward = kept
 
 
 def drop_idle_lifts(plan: Any) -> Any:
@@ -162,7 +162,7 @@ def _with_some_forces(case: Case, plan: Any, random: np.random.Generator) -> Any
     forces = ForceFeedforward(
         offset, np.zeros(stages), inward, np.float64(manoeuvre.creep), np.float64(manoeuvre.anchoring)
     )
-    return plan.with_layer(jax.tree.map(jnp.asarray, forces))
+    return plan.replace_layer(jax.tree.map(jnp.asarray, forces))
 
 
 def read_plan(name: str) -> dict[str, np.ndarray]:

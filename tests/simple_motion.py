@@ -11,8 +11,8 @@ import numpy as np
 
 from sweep.config.experiment import compose
 from sweep.core.metric import Metric, compute_columns
-from sweep.metrics.tick import MetricTick, RolloutEnd, RolloutStart
-from sweep.models.obstacles.surface import body_poses, no_free_bodies
+from sweep.metrics.tick import MetricContext, RolloutEnd, RolloutStart
+from sweep.models.obstacles.surface import body_poses, empty_free_body_state
 from sweep.models.robot import total_mass
 from sweep.systems.mujoco_model.tick import ModelPartIndices, ModelRollout, ModelStart, ModelTick
 
@@ -55,7 +55,7 @@ START = Motion().samples()
 
 def hexapod_columns(metrics: tuple[Metric, ...], motion: Motion) -> dict[str, float]:
     """Columns of the built-in robot whose first leg moves as the motion says, and whose plan leads along x."""
-    motion, free, zero = motion.samples(), no_free_bodies(), jnp.zeros(())
+    motion, free, zero = motion.samples(), empty_free_body_state(), jnp.zeros(())
     plan: Any = SimpleNamespace(
         position=jnp.array([[1.0, 0.0, 0.5]]), duration=jnp.array([99.0]), swing=jnp.zeros((1, 6), bool)
     )
@@ -66,7 +66,7 @@ def hexapod_columns(metrics: tuple[Metric, ...], motion: Motion) -> dict[str, fl
     def on_first(value: Any, *shape: int) -> Any:
         return jnp.zeros(shape).at[(0,) * (len(shape) - np.ndim(value))].set(jnp.asarray(value))
 
-    def tick(sample: dict[str, Any]) -> MetricTick:
+    def tick(sample: dict[str, Any]) -> MetricContext:
         rate, torque = sample["joint_rate"], sample["torque"]
         truth = SimpleNamespace(
             position=sample["position"], velocity=sample["velocity"], quat=sample["quat"], rates=on_first(rate, 6, 3),
@@ -77,7 +77,7 @@ def hexapod_columns(metrics: tuple[Metric, ...], motion: Motion) -> dict[str, fl
             positive_work=motion.period * jnp.maximum(torque * rate, 0.0), bodies=body_poses(free),
         )  # fmt: skip
         ends = jnp.asarray(False), base, still, still, zero
-        return MetricTick(CASE, plan, jnp.int32(0), zero, *ends, report, motion.period, zero)
+        return MetricContext(CASE, plan, jnp.int32(0), zero, *ends, report, motion.period, zero)
 
     def step(states: Any, sample: dict[str, Any]) -> tuple[Any, None]:
         ctx = tick(sample)

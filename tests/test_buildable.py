@@ -48,7 +48,7 @@ def test_a_coxa_is_allowed_where_the_legs_of_the_row_have_one(tmp_path):
 @pytest.mark.parametrize("height", [6.2e-5, 1e-9])
 def test_a_thin_body_is_built_though_its_inertia_is_rounded(height):
     exp = compose(["scenario=walk_tripod", f"robot.body_height={height}"])
-    assert scene.native_model(exp.case, 1e-3).nbody == scene.compile_model(exp.case).nbody
+    assert scene.compile_native_model(exp.case, 1e-3).nbody == scene.compile_model(exp.case).nbody
 
 
 def test_rows_that_native_cannot_build_are_invalid_and_their_reason_is_said(capsys):

@@ -78,8 +78,10 @@ def test_a_region_is_a_condition_that_chooses_the_same_rows(shape):
     assert found.is_certified
     names = [f"robot.p{k}" for k in range(6)]
     rows = pd.DataFrame(fresh[0], columns=names)
-    assert (condition_mask(rows, found.score.condition(names, found.threshold)) == found.contains(fresh[0])).all()
-    assert found.upper_bound <= 0.03 < fresh[1].mean()
+    assert (
+        condition_mask(rows, found.score.format_region_condition(names, found.threshold)) == found.contains(fresh[0])
+    ).all()
+    assert found.failure_probability_bound <= 0.03 < fresh[1].mean()
 
 
 def test_nothing_is_certified_where_it_cannot_be():

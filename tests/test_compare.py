@@ -41,7 +41,7 @@ def test_the_exact_test_keeps_its_level():
     flipped = np.arange(5, 45)
     lost = np.random.default_rng(0).binomial(flipped, 0.5, (25, 40))
     counts = [(k, n - k) for row in lost.tolist() for k, n in zip(row, flipped.tolist(), strict=True)]
-    tests = [compare.sign_flip_p(np.repeat([1, -1], pair)) for pair in counts]
+    tests = [compare.sign_flip_p_value(np.repeat([1, -1], pair)) for pair in counts]
     assert 0 < np.mean(np.array(tests) <= 0.05) <= 0.05
 
 
@@ -50,7 +50,7 @@ def test_several_pairs_of_a_draw_are_one_trial_of_the_test():
     differences = np.array([3, 2, -1, 2, 0, 1, 3])
     signs = np.array(list(itertools.product([-1, 1], repeat=7)))
     exact = np.mean(np.abs(signs @ differences) >= differences.sum())
-    assert compare.sign_flip_p(differences) == pytest.approx(exact)
+    assert compare.sign_flip_p_value(differences) == pytest.approx(exact)
     a, b = rows_of("ssssffss" * 4), rows_of("fsffsfss" * 4)
     pairs, rows = compare.pair_rows(a, b), np.repeat(np.arange(8), 4)
     assert compare.count_flips(pairs, rows).p_value > compare.count_flips(pairs, np.arange(32)).p_value
@@ -91,8 +91,8 @@ def test_another_controller_is_paired_by_what_both_vary():
     b = rows_of("fsf", **varied).assign(point_id=["q0", "q1", "q2"])
     pairs = compare.pair_rows(a, b.iloc[::-1])
     assert compare.count_flips(pairs).lost == 1
-    assert comparison.name_pair_columns(pairs) == " of equal world.contact.friction, replicate"
-    assert comparison.name_pair_columns(compare.pair_rows(a, a)) == ""
+    assert comparison.describe_pair_columns(pairs) == " of equal world.contact.friction, replicate"
+    assert comparison.describe_pair_columns(compare.pair_rows(a, a)) == ""
     with pytest.raises(InputError, match=r"--by world\.contact\.friction, replicate\)"):
         compare.pair_rows(a, b.assign(replicate=0))
     with pytest.raises(
@@ -104,7 +104,7 @@ def test_another_controller_is_paired_by_what_both_vary():
 def test_drift_is_typical_and_relative():
     a = rows_of("sssf", slip_max_m=[1.0, 2.0, 3.0, 4.0], energy_j=[0.0, 0.0, 0.0, 1.0])
     b = rows_of("sssi", slip_max_m=[1.1, 2.2, 3.3, 900.0], energy_j=[0.0, 0.0, 0.0, 1.0])
-    drift = compare.metric_drift(compare.pair_rows(a, b))
+    drift = compare.relative_metric_changes(compare.pair_rows(a, b))
     assert drift["slip_max_m"] == pytest.approx(0.1)
     assert drift["energy_j"] == 0
 

@@ -4,7 +4,7 @@ import re
 import pytest
 from small_study import one_line
 
-from sweep.cli.choices import shipped_choices
+from sweep.cli.choices import shipped_group_choices
 from sweep.cli.main import main
 from sweep.config.experiment import build_experiment, compose, compose_values
 from sweep.core.groups import GROUPS
@@ -13,7 +13,9 @@ from sweep.manoeuvres import MANOEUVRES
 from sweep.models.obstacles import OBSTACLES
 
 TOGETHER = ("obstacle", "manoeuvre")  # which have to fit
-CHOICES = [f"{group}={name}" for group in GROUPS if group not in (*TOGETHER, "plan") for name in shipped_choices(group)]
+CHOICES = [
+    f"{group}={name}" for group in GROUPS if group not in (*TOGETHER, "plan") for name in shipped_group_choices(group)
+]
 for name in ("engine=warp", "engine=kernel"):  # of own models alone
     CHOICES.remove(name)
 
@@ -30,14 +32,14 @@ def test_every_config_file_composes(choice):
 
 @pytest.mark.parametrize(("group", "classes"), [("obstacle", OBSTACLES), ("manoeuvre", MANOEUVRES)])
 def test_a_class_is_a_choice_without_a_file(group, classes):
-    assert set(classes) <= set(shipped_choices(group))
-    assert all(shipped_choices(group).values())
+    assert set(classes) <= set(shipped_group_choices(group))
+    assert all(shipped_group_choices(group).values())
 
 
 def test_a_manoeuvre_on_an_obstacle_that_it_is_not_for_is_refused_in_one_line():
     nominal, fits, refusals = compose_values([]), set(), {}
     values = {
-        group: {name: compose_values([f"{group}={name}"])[group] for name in shipped_choices(group)}
+        group: {name: compose_values([f"{group}={name}"])[group] for name in shipped_group_choices(group)}
         for group in TOGETHER
     }
     del values["manoeuvre"]["follow"]  # on any obstacle, with a plan that is made for it

@@ -30,7 +30,7 @@ from interval_coverage import (
 from scipy.stats import beta, binom, norm
 
 from sweep.analysis import compare, failing, sampling_units, screening, sensitivity, sequential
-from sweep.analysis.sample import is_random_sample, pooled_rate
+from sweep.analysis.sample import is_random_sample, pooled_success_rate
 from sweep.core.errors import InputError
 from sweep.report.statistics import sensitivity_methods
 from sweep.runs import refine
@@ -80,7 +80,7 @@ def simulate_draws(kind: str, cut: float, replicates: int, **design: Any) -> dic
         rows = points(exp)
         noise = NOISE * normals(rows, seed) if replicates > 1 else 0.0
         rows = judged(rows, rows["controller.x1"] + noise < cut)
-        rate = pooled_rate(rows, exp)
+        rate = pooled_success_rate(rows, exp)
         widths.append(rate.high - rate.low)
         if rows["outcome"].nunique() > 1:
             tests.append(sensitivity.regional_sensitivity(rows, exp).set_index("axis").loc["controller.x2", "p"])
@@ -114,7 +114,7 @@ def test_a_tolerance_is_no_wider_than_needed():
         limit = np.random.default_rng(seed).logistic(0.045, 0.007, 200)
         rows = points(exp)
         rows = judged(rows, rows["controller.x3"] < limit[rows["replicate"]])
-        line = sensitivity.tolerated_errors(rows, exp).iloc[0]
+        line = sensitivity.tolerated_parameter_errors(rows, exp).iloc[0]
         assert line["low"] <= line["error"] <= line["high"]
         widths.append(line["high"] - line["low"])
     assert np.median(widths) <= 0.0075
@@ -130,7 +130,9 @@ def test_the_fit_is_rejected_as_often_as_it_should_be():
             success = x < np.tile(limit, len(LEVELS))
             if name == "wrong":
                 success &= np.tile(rng.random(64) < 0.8, len(LEVELS))
-            tests[name].append(sensitivity.goodness_of_fit_p(sensitivity.fit_logistic(x, success), x, success, unit))
+            tests[name].append(
+                sensitivity.goodness_of_fit_p_value(sensitivity.fit_logistic(x, success), x, success, unit)
+            )
     assert np.mean(np.array(tests["right"]) < 0.05) <= REJECTS
     assert np.mean(np.array(tests["wrong"]) < 0.05) >= 0.8
 
@@ -169,7 +171,7 @@ def test_pairs_of_a_draw_are_no_independent_pairs(replicates, levels):
         one, other = (rows[f"controller.{name}"] + noise < 0.8 for name in ("x1", "x2"))
         named = judged(rows.assign(point_id=np.arange(len(rows)).astype(str)), one)
         pairs = compare.pair_rows(named, judged(named, other))
-        unit = compare.unit_numbers_of_pairs(pairs, exp)
+        unit = compare.pair_sampling_unit_ids(pairs, exp)
         found = compare.count_flips(pairs, unit)
         tests.append(found.p_value)
         hits.append(covers(found.low, found.high, 2 * rate_with_noise(0.8) * (1 - rate_with_noise(0.8))))
@@ -183,9 +185,9 @@ def test_a_grid_is_no_sample():
     exp = study(GRID)
     rows = points(exp).assign(point_id=lambda t: np.arange(len(t)).astype(str))
     rows = judged(rows, linear(rows) < np.sqrt(2))
-    assert np.isnan(pooled_rate(rows, exp).low)
+    assert np.isnan(pooled_success_rate(rows, exp).low)
     pairs = compare.pair_rows(rows, judged(rows, linear(rows) + 0.05 / np.sqrt(8) < np.sqrt(2)))
-    assert compare.unit_numbers_of_pairs(pairs, exp) is None
+    assert compare.pair_sampling_unit_ids(pairs, exp) is None
     found = compare.count_flips(pairs)
     assert found.lost > 0
     assert np.isnan([found.p_value, found.low, found.high]).all()
@@ -236,7 +238,7 @@ def test_a_correlated_latin_hypercube_keeps_its_strata():
 
 def test_every_printed_interval_is_simulated():
     """A public function of the analysis that gives a 95 % interval or error, or a method that a design prints."""
-    of_rates = {"success_rates", "one_at_a_time_rates", "success_rate"}  # which `condition_rates` prints
+    of_rates = {"success_rates", "one_at_a_time_rates", "success_rate"}  # which `success_rates_by_condition` prints
     named = {case.prints.__name__ for case in CASES} | of_rates
     for path in Path(sampling_units.__file__).parent.glob("*.py"):
         for node in ast.parse(path.read_text()).body:

@@ -10,7 +10,7 @@ from small_study import one_line
 from test_arrows import MODULES, ROOMS, imported, room
 
 from sweep.analysis.intervals import wilson
-from sweep.analysis.sample import pooled_rate
+from sweep.analysis.sample import pooled_success_rate
 from sweep.cli.main import main
 from sweep.core import project, provenance
 from sweep.runs import store
@@ -77,7 +77,7 @@ def test_a_project_adds_a_design_in_one_file(home, capsys):
     assert main(["stats", "own"]) == 0
     assert "4 independent pairs" in capsys.readouterr().out
     alike = rows.assign(outcome=np.where(rows["replicate"] // 2 == 0, "failure", "success"))  # both of a pair
-    found = pooled_rate(alike, load_experiment(home / "own"))
+    found = pooled_success_rate(alike, load_experiment(home / "own"))
     four = wilson(3, 4)  # the interval of 8 draws would begin at 0.41
     assert found.low <= four.low < four.high - 0.01 <= found.high
     assert main([*here, "study.design.centre=0.75"]) == 2  # rows of other settings

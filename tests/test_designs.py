@@ -194,7 +194,7 @@ def test_a_bad_design_is_refused(table_of, axes, design, message):
 
 def test_a_sobol_design_that_loses_its_balance_is_doubted(nominal):
     def doubt(**design):
-        return parse(nominal, {"f": FRICTION}, design=design).design.warning
+        return parse(nominal, {"f": FRICTION}, design=design).design.precision_warning
 
     assert doubt(kind="sobol", num=64) is None
     assert "not a power of 2" in str(doubt(kind="sobol", num=65))

@@ -11,8 +11,8 @@ from small_study import one_line
 from sweep.cli.main import main
 from sweep.config.experiment import compose
 from sweep.runs import store
-from sweep.runs.axis_effects import find_unread_columns
-from sweep.runs.runner import select_points
+from sweep.runs.axis_effects import find_inactive_parameters
+from sweep.runs.runner import select_points_to_simulate
 
 STEP, PERIOD, MASS = 0.002, 0.02, 2.0
 MODEL = f"""<mujoco><option timestep="{STEP}" gravity="0 0 0" integrator="Euler"/>
@@ -100,7 +100,7 @@ def test_a_run_with_pushes_and_random_starts_goes_on_as_if_it_was_never_stopped(
 @pytest.mark.parametrize("axis", ["push.kick.impulse", "noise.action_delay", "start.x", "start.random.x"])
 def test_an_axis_that_reaches_the_physics_counts_as_read(here, axis):
     exp = compose(["study=one.yaml", f"study.axes.size.path={axis}"])
-    assert not find_unread_columns(exp, select_points(exp).assign(width=1))
+    assert not find_inactive_parameters(exp, select_points_to_simulate(exp).assign(width=1))
 
 
 @pytest.mark.parametrize(("push", "line"), [

@@ -10,7 +10,7 @@ from small_study import one_line
 
 from sweep.cli.main import main
 from sweep.config.experiment import compose
-from sweep.models.scene import native_model
+from sweep.models.scene import compile_native_model
 from sweep.runs import store
 from sweep.systems.hexapod.exported import make_controller
 
@@ -23,7 +23,7 @@ def test_what_is_exported_is_the_robot_to_its_last_digit(tmp_path, monkeypatch, 
     monkeypatch.chdir(tmp_path)
     assert main(["export-model", f"scenario={name}", "robot.body_mass=9.87654321", "out=robot"]) == 0
     exp = compose([f"scenario={name}", "robot.body_mass=9.87654321"])
-    own = native_model(exp.case, exp.settings.native_time_step)
+    own = compile_native_model(exp.case, exp.settings.native_time_step)
     made, read = mujoco.MjModel.from_binary_path("robot/robot.mjb"), mujoco.MjModel.from_xml_path("robot/robot.xml")
     for field in FIELDS:
         np.testing.assert_array_equal(getattr(made, field), getattr(own, field), err_msg=field)

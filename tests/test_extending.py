@@ -18,7 +18,7 @@ import pytest
 from sweep.config.experiment import compose
 from sweep.controllers.plan import stage_end_stances
 from sweep.core.errors import InputError
-from sweep.models.obstacles.surface import no_free_bodies
+from sweep.models.obstacles.surface import empty_free_body_state
 
 ROOT = Path(__file__).parents[1]
 OBSTACLE, MANOEUVRE, PLATFORM, CHART = "write_an_obstacle", "write_a_manoeuvre", "write_a_plan", "write_a_chart"
@@ -155,7 +155,7 @@ def test_a_manoeuvre_of_a_file_goes_there_and_back_within_reach(tmp_path, monkey
     case = compose(["scenario=platform"]).case
     with jax.enable_x64(True):
         plan = case.manoeuvre.plan(case)
-        stances = jax.tree.map(np.asarray, stage_end_stances(plan, no_free_bodies()))
+        stances = jax.tree.map(np.asarray, stage_end_stances(plan, empty_free_body_state()))
     up, down = ([name for name in plan.names if name.startswith(part)] for part in ("up.", "down."))
     assert [name.removeprefix("down.") for name in down] == [name.removeprefix("up.") for name in up[::-1]]
     top = plan.names.index("up.stand")

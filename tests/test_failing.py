@@ -22,7 +22,7 @@ def told(kind: str = "monte_carlo") -> Any:
     """What of an experiment is asked for."""
     design = parse_design({"kind": kind, "num": 1000}, AXES)
     sought = design_kinds.is_adaptive_kind(kind)
-    search = {"search_design": design, "draw_context": DrawContext(tuple("abcd"), 0)} if sought else {}
+    search = {"adaptive_design": design, "draw_context": DrawContext(tuple("abcd"), 0)} if sought else {}
     return SimpleNamespace(
         study=SimpleNamespace(axes=AXES, design=design, is_adaptive=sought, points=None, replicates=1, **search)
     )

@@ -20,7 +20,7 @@ MODEL = mujoco.MjModel.from_xml_string(quadruped())
 def written(values):
     """Models (2) of a batch with values by path."""
     batch = Batch(MODEL, 2)
-    fields.write_values(batch, {path: np.array(value) for path, value in values.items()}, lambda: None)
+    fields.write_batch_parameters(batch, {path: np.array(value) for path, value in values.items()}, lambda: None)
     return [batch.get_model(k) for k in range(2)]
 
 

@@ -15,7 +15,7 @@ from sweep.contract.engine import TimeSeriesRequest
 from sweep.report import time_series_plots
 from sweep.runs import manifest, results, store, time_series
 from sweep.runs.batches import assign_batches, make_batch, make_engine, make_nominal_batch
-from sweep.runs.runner import select_points
+from sweep.runs.runner import select_points_to_simulate
 
 KEEP = ["study.keep=[tilt_deg,base_z_m]", "study.keep_rate=2", "study.keep_rows=20"]
 BROKEN = ["study.axes.friction.values=[7,0.3]", "study.axes.step.num=17", "study.invalid_max=1"]
@@ -120,7 +120,7 @@ def test_relabelling_and_putting_parts_together_keep_histories(folder):
 def test_rollouts_that_are_watched_are_those_of_the_run(name):
     exp = compose(["study=walk_map", "study.axes.friction.num=4", "study.axes.step.num=2", "engine.width=8",
                    "manoeuvre.steps=1", f"engine={name}"])  # fmt: skip
-    rows = assign_batches(exp, pd.DataFrame(), select_points(exp))
+    rows = assign_batches(exp, pd.DataFrame(), select_points_to_simulate(exp))
     engine, task = make_engine(exp, make_nominal_batch(exp, rows, 8)), make_batch(exp, rows)
     inputs = task.world, task.belief, task.streams
     watch, trace = TimeSeriesRequest(("base_z_m", "tilt_deg", "foot1_force_z_n"), 5, 10), engine.trace(*inputs, 6)

@@ -17,7 +17,7 @@ from sweep.runs import results, store
 from sweep.study import importance_sampling
 from sweep.study.adaptive_sampling import RoundSummary
 from sweep.study.design_kinds.base import DrawContext
-from sweep.study.design_kinds.importance import Importance, WeightedEstimate
+from sweep.study.design_kinds.importance import ImportanceSampling, WeightedEstimate
 
 far = pytest.mark.parametrize("fake_engine", [CliffEngine], indirect=True)
 STUDY = [
@@ -100,7 +100,7 @@ def test_its_mean_is_the_truth(d, bounds):
 def test_without_a_failure_there_is_a_bound_and_one_heavy_row_is_told():
     rows = pd.DataFrame({"axis.round": 1.0, "axis.weight": np.ones(300), "outcome": "success", "cause": ""})
 
-    design, ctx = Importance(num=300, rounds=1), DrawContext((), 0)
+    design, ctx = ImportanceSampling(num=300, rounds=1), DrawContext((), 0)
     none = design.estimate_failure(rows, ctx)
     assert none.high == pytest.approx(0.01 / importance_sampling.PLAIN_SHARE, rel=0.02)
     assert str(none).endswith("try a larger study.design.wide, more draws, or wider distributions")
@@ -137,7 +137,7 @@ def test_modes_are_apart_however_they_are_caused():
     rows.loc[low, "cause"] = "slipped"
     rows.loc[high & ~low, "cause"] = np.where(rng.random((high & ~low).sum()) < 0.25, "slipped", "fell")
     rows["outcome"] = np.where(low | high, "failure", "success")
-    study = SimpleNamespace(search_design=Importance(rounds=1), draw_context=DrawContext((), 0))
+    study = SimpleNamespace(search_design=ImportanceSampling(rounds=1), draw_context=DrawContext((), 0))
     study.axes = [SimpleNamespace(name=name, column=name) for name in "abc"]
     found = rare.failure_modes(rows, SimpleNamespace(study=study))  # pyright: ignore[reportArgumentType]
     assert found["share"].tolist() == pytest.approx([0.635, 0.365], abs=0.05)

@@ -52,10 +52,10 @@ def test_what_a_worker_of_a_dead_command_writes_counts_for_nothing(tmp_path, who
 
 def test_a_part_that_was_judged_by_other_thresholds_is_not_taken(folder):
     exp = compose([*STUDY, f"out={folder}"])
-    job = runner.prepare_job(exp, folder, runner.select_points(exp))
+    job = runner.prepare_job(exp, folder, runner.select_points_to_simulate(exp))
     entry = replace(store.list_current_parts(folder)[0], labels="others")
     with pytest.raises(Fault, match="other thresholds"):
-        runner.list_finished_part(job, runner.FinishedBatch(0, "host", "cpu", 1, entry), entry)
+        runner.register_finished_part(job, runner.FinishedBatch(0, "host", "cpu", 1, entry), entry)
 
 
 def test_no_flipped_bit_is_silent_and_none_ends_in_a_traceback(folder, whole):

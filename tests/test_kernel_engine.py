@@ -13,16 +13,16 @@ import sweep
 from sweep.cli.main import main
 from sweep.core.errors import InputError
 from sweep.fused import eager
-from sweep.systems.mujoco_model import build_nominal, kernel_engine
+from sweep.systems.mujoco_model import build_nominal_system, kernel_engine
 from sweep.systems.mujoco_model.kernel import agreement, guard
 from sweep.systems.mujoco_model.kernel.layout import find_layout
-from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
+from sweep.systems.mujoco_model.kernel.numbers import ModelFieldValues
 from sweep.systems.mujoco_model.kernel.pairs import find_simulated_pairs
-from sweep.systems.mujoco_model.kernel.scalars import stack_values
+from sweep.systems.mujoco_model.kernel.scalars import stack_scalars
 from sweep.systems.mujoco_model.kernel.sensors import compute_sensors, find_unsupported_sensors
-from sweep.systems.mujoco_model.kernel.smooth import compute_smooth
-from sweep.systems.mujoco_model.kernel.step import read_state, solve_forward
-from sweep.systems.mujoco_model.model_spec import SideValues
+from sweep.systems.mujoco_model.kernel.smooth import compute_smooth_terms
+from sweep.systems.mujoco_model.kernel.step import compute_forward_dynamics, read_state
+from sweep.systems.mujoco_model.model_spec import ParameterOverrides
 
 TEMPLATE = Path(sweep.__file__).parent / "cli" / "template_model"
 DATA = Path(__file__).parent / "data"
@@ -184,14 +184,14 @@ def test_sensors_equal_those_of_c_mujoco(base):
     assert not find_unsupported_sensors(layout, model)
 
     def read(qpos, qvel, ctrl):
-        state, numbers = read_state(layout, model, qpos, qvel, qvel), ModelNumbers(model, {}, {})
-        result, _ = solve_forward(layout, numbers, state, ctrl, (), 60)
-        return stack_values(compute_sensors(layout, numbers, state, result), qpos.dtype)
+        state, numbers = read_state(layout, model, qpos, qvel, qvel), ModelFieldValues(model, {}, {})
+        result, _ = compute_forward_dynamics(layout, numbers, state, ctrl, (), 60)
+        return stack_scalars(compute_sensors(layout, numbers, state, result), qpos.dtype)
 
     with jax.enable_x64(True):
         rows = [np.stack([getattr(one, name) for one in drawn]) for name in ("qpos", "qvel", "ctrl")]
         shapes = [jax.ShapeDtypeStruct(one.shape[1:], np.float64) for one in rows]
-        found = np.asarray(eager.trace(read, *shapes)(len(drawn), *rows))
+        found = np.asarray(eager.trace_numpy_program(read, *shapes)(len(drawn), *rows))
     np.testing.assert_allclose(found, np.stack([one.sensordata for one in drawn]), rtol=1e-9, atol=1e-9)
 
 
@@ -220,8 +220,8 @@ def test_touches_that_it_does_not_simulate_are_never_missed():
     model = mujoco.MjModel.from_xml_string(text.replace('contype="0"', 'contype="1"'))
     layout, data = find_layout(model), mujoco.MjData(model)
     pairs, numbers, rng = (
-        guard.find_unsimulated_pairs(layout, model),
-        ModelNumbers(model, {}, {}),
+        guard.find_unsimulated_geom_pairs(layout, model),
+        ModelFieldValues(model, {}, {}),
         np.random.default_rng(0),
     )
     rows, distances = [], []
@@ -234,11 +234,13 @@ def test_touches_that_it_does_not_simulate_are_never_missed():
 
     def look(qpos, qvel):
         state = read_state(layout, model, qpos, qvel, qvel)
-        return guard.has_near_pair(layout, numbers, state, compute_smooth(layout, numbers, state), pairs)
+        return guard.has_near_pair(layout, numbers, state, compute_smooth_terms(layout, numbers, state), pairs)
 
     with jax.enable_x64(True):
         shapes = [jax.ShapeDtypeStruct((size,), np.float64) for size in (model.nq, model.nv)]
-        seen = np.asarray(eager.trace(look, *shapes)(len(rows), np.array(rows), np.zeros((len(rows), model.nv))))
+        seen = np.asarray(
+            eager.trace_numpy_program(look, *shapes)(len(rows), np.array(rows), np.zeros((len(rows), model.nv)))
+        )
     touch, apart = np.array(distances) <= 0, np.array(distances) > 0.004
     assert touch.sum() > 20
     assert apart.sum() > 20
@@ -267,10 +269,10 @@ def test_programs_are_stored_by_structure_and_constants_but_not_by_varied_number
             "engine": {"name": "kernel"},
             "outcome": {"fell": "energy_j < -1"},
         }
-        system, settings, *_ = build_nominal(values, {})
+        system, settings, *_ = build_nominal_system(values, {})
         engine = system.make_engine(settings, *system.make_world_and_belief({}), limits=None)
-        world = SideValues(tuple((path, np.full(2, value)) for path in paths))
-        engine.run(world, SideValues(), np.arange(2))
+        world = ParameterOverrides(tuple((path, np.full(2, value)) for path in paths))
+        engine.run(world, ParameterOverrides(), np.arange(2))
         return len(compiled)
 
     before = jax.config.jax_compilation_cache_dir

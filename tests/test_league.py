@@ -8,7 +8,7 @@ import pytest
 from small_study import one_line
 
 from sweep.analysis import league
-from sweep.analysis.compare import sign_flip_p
+from sweep.analysis.compare import sign_flip_p_value
 from sweep.analysis.sequential import sequential_test
 from sweep.cli.main import main
 from sweep.runs import store
@@ -25,7 +25,7 @@ def outcomes(rates, points, seed):
 
 def rows_of(rates, points, seed, unit=None):
     own = np.arange(points) if unit is None else unit
-    return league.LeagueRows(NAMES[: len(rates)], outcomes(rates, points, seed), own, pd.DataFrame(), ())
+    return league.PairedPolicyOutcomes(NAMES[: len(rates)], outcomes(rates, points, seed), own, pd.DataFrame(), ())
 
 
 def test_verdicts_and_intervals_hold_together():
@@ -35,8 +35,8 @@ def test_verdicts_and_intervals_hold_together():
     wrong, better = np.zeros(3), np.zeros((4, 4), bool)
     for seed in range(60):
         one = rows_of(rates, 150, seed)
-        pairs, table = league.pair_table(one), league.rate_table(one)
-        better = league.better_matrix(pairs, NAMES)
+        pairs, table = league.pairwise_test_table(one), league.policy_success_rates(one)
+        better = league.decided_win_matrix(pairs, NAMES)
         wrong += [
             (better & (rates[:, None] <= rates)).any(),
             ((table["low"] > rates) | (table["high"] < rates)).any(),
@@ -49,22 +49,24 @@ def test_verdicts_and_intervals_hold_together():
 def test_a_pair_alone_is_the_test_of_compare():
     one = rows_of(np.array([0.5, 0.7]), 60, 3)
     change = one.success[:, 0].astype(int) - one.success[:, 1]
-    assert league.pair_table(one)["p_holm"].iloc[0] == pytest.approx(sign_flip_p(change))
+    assert league.pairwise_test_table(one)["p_holm"].iloc[0] == pytest.approx(sign_flip_p_value(change))
 
 
 def test_copies_of_a_draw_decide_nothing_more():
     """Ten equal rows of each draw are one observation: rates, p-values and intervals stay as wide."""
     draws = rows_of(RATES, 40, 1)
     unit = np.repeat(np.arange(40), 10)
-    copies = league.LeagueRows(NAMES, np.repeat(draws.success, 10, axis=0), unit, pd.DataFrame(), ())
+    copies = league.PairedPolicyOutcomes(NAMES, np.repeat(draws.success, 10, axis=0), unit, pd.DataFrame(), ())
     for column in ("difference", "low", "high", "p_holm"):
-        np.testing.assert_allclose(league.pair_table(copies)[column], league.pair_table(draws)[column], atol=1e-9)
-    wide, narrow = (league.rate_table(one)[["low", "high"]].to_numpy() for one in (copies, draws))
+        np.testing.assert_allclose(
+            league.pairwise_test_table(copies)[column], league.pairwise_test_table(draws)[column], atol=1e-9
+        )
+    wide, narrow = (league.policy_success_rates(one)[["low", "high"]].to_numpy() for one in (copies, draws))
     assert (np.diff(wide) > 0.95 * np.diff(narrow)).all()
 
 
 def test_places_follow_from_verdicts():
-    table = league.rate_table(rows_of(RATES, 800, 0))
+    table = league.policy_success_rates(rows_of(RATES, 800, 0))
     better = np.array([[0, 0, 0, 0], [0, 0, 0, 0], [1, 1, 0, 0], [1, 1, 1, 0]], bool)
     assert dict(zip(*league.standings(table, better)[["policy", "places"]].to_numpy().T, strict=True)) == {
         "d": "1", "c": "2", "a": "3 to 4", "b": "3 to 4"
@@ -75,35 +77,35 @@ def test_conditions_have_their_own_best_policies():
     """A wins on ice and B on sand; together they are equal."""
     ice = np.repeat([[True, False], [False, True]], 60, axis=0)
     ground = pd.DataFrame({"ground": ["ice"] * 60 + ["sand"] * 60})
-    rows = league.LeagueRows(("a", "b"), ice, np.arange(120), ground, ())
-    assert list(league.condition_table(rows, ["ground"])["best"]) == ["a", "b"]
-    assert league.pair_table(rows)["verdict"].iloc[0] == league.NOT_DECIDED
+    rows = league.PairedPolicyOutcomes(("a", "b"), ice, np.arange(120), ground, ())
+    assert list(league.policy_success_rates_by_condition(rows, ["ground"])["best"]) == ["a", "b"]
+    assert league.pairwise_test_table(rows)["verdict"].iloc[0] == league.NOT_DECIDED
 
 
 def test_a_race_of_two_is_the_sequential_test():
     won = outcomes(np.array([0.5, 0.8]), 200, 0)
     names = np.where(won, "success", "failure")
     pairs = pd.DataFrame({"replicate": range(200), "outcome": names[:, 0], "outcome (B)": names[:, 1]})
-    found, race = sequential_test(pairs), league.Race(2)
-    race.add_units(won[: found.pairs - 1].astype(float))
+    found, race = sequential_test(pairs), league.PolicyRace(2)
+    race.add_unit_success_rates(won[: found.pairs - 1].astype(float))
     assert not race.better.any()
-    race.add_units(won[found.pairs - 1 : found.pairs].astype(float))
+    race.add_unit_success_rates(won[found.pairs - 1 : found.pairs].astype(float))
     assert race.better.tolist() == [[False, False], [True, False]]
 
 
 def test_a_race_decides_what_follows_and_is_rarely_wrong():
-    race = league.Race(3)
-    race.add_units(np.tile([[1.0, 1.0, 0.0], [1.0, 0.0, np.nan], [1.0, 0.0, np.nan]], (9, 1)))
+    race = league.PolicyRace(3)
+    race.add_unit_success_rates(np.tile([[1.0, 1.0, 0.0], [1.0, 0.0, np.nan], [1.0, 0.0, np.nan]], (9, 1)))
     assert race.better.tolist() == [[False, True, True], [False, False, True], [False, False, False]]
-    race = league.Race(3)  # A beats B, B beats C, A and C never meet
-    race.add_units(np.tile([[np.nan, 1.0, 0.0], [1.0, 0.0, np.nan]], (20, 1)))
+    race = league.PolicyRace(3)  # A beats B, B beats C, A and C never meet
+    race.add_unit_success_rates(np.tile([[np.nan, 1.0, 0.0], [1.0, 0.0, np.nan]], (20, 1)))
     assert race.better[0, 2]
     wrong = 0
     for seed in range(60):  # stopped policies have no more outcomes
-        race, won = league.Race(4), outcomes(np.array([0.6, 0.6, 0.6, 0.9]), 600, seed).astype(float)
+        race, won = league.PolicyRace(4), outcomes(np.array([0.6, 0.6, 0.6, 0.9]), 600, seed).astype(float)
         for start in range(0, 600, 60):
             is_open = race.undecided_policies()
-            race.add_units(np.where(is_open, won[start : start + 60], np.nan))
+            race.add_unit_success_rates(np.where(is_open, won[start : start + 60], np.nan))
         wrong += race.better[:3, :3].any()
         assert race.better[3].sum() + race.better[:, 3].sum() > 0
     assert wrong / 60 <= 0.05 + 0.05

@@ -19,7 +19,7 @@ from sweep.cli.main import main
 from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.runs import batches, store, time_series
-from sweep.runs.runner import select_points
+from sweep.runs.runner import select_points_to_simulate
 from sweep.systems.mujoco_model import policy_spec
 
 PAGE = Path(__file__).parents[1] / "docs/howto/run_a_learned_policy.md"
@@ -103,7 +103,7 @@ class PlainLoop:
 def make_engine(engine, precision="float64"):
     """The engine of the nominal rollout and its batch."""
     exp = compose(["study=one", f"engine={engine}", f"engine.precision={precision}"])
-    rows = select_points(exp)
+    rows = select_points_to_simulate(exp)
     rows = batches.assign_batches(exp, pd.DataFrame(), rows).assign(width=1)
     task = batches.make_batch(exp, rows)
     return exp.system.make_engine(replace(task.settings, cross_check=False), task.world, task.belief, None), task
@@ -175,7 +175,7 @@ def drawn(action, weight, *words):
     write_project(Path(), f"{STILL}action: {action}", legs=1)
     save_perceptron("walk.onnx", (1, len(weight)), weight=np.array(weight)[:, None])
     exp = compose(["study=one", "engine.precision=float64", "study.replicates=6", *words])
-    rows = batches.assign_batches(exp, pd.DataFrame(), select_points(exp)).assign(width=6)
+    rows = batches.assign_batches(exp, pd.DataFrame(), select_points_to_simulate(exp)).assign(width=6)
     task = batches.make_batch(exp, rows)
     made = exp.system.make_engine(task.settings, task.world, task.belief, None)
     traces = made.traces(task.world, task.belief, task.streams, 1)
@@ -224,7 +224,7 @@ def test_what_the_policy_saw_is_kept_and_the_first_difference_is_named(here, cap
     assert "Over time: no sample of 1 rollouts differs" in capsys.readouterr().out
     assert main(["compare", "a", "b", "--by", "load", "--histories", "1e-5"]) == 0
     b = b.assign(point_id=a["point_id"])
-    found = first_differences.find_first_differences(a, b, [*a.columns[-60:]], 1e-9)
+    found = first_differences.find_time_series_differences(a, b, [*a.columns[-60:]], 1e-9)
     assert found["time_s"][0] == pytest.approx(0.02)  # the first observation is that of the start
     assert found["column"][0] == "observation_joint_velocities_lf_knee"
 

@@ -19,9 +19,9 @@ from sweep.cli.main import main
 from sweep.config.experiment import compose
 from sweep.contract.engine_settings import EngineSettings
 from sweep.runs import audit, batches, results, store
-from sweep.runs.runner import select_points
+from sweep.runs.runner import select_points_to_simulate
 from sweep.systems.mujoco_model import MujocoModel, fields, mjx
-from sweep.systems.mujoco_model.engine import print_note
+from sweep.systems.mujoco_model.engine import print_note_once
 
 HOPPER = """<mujoco><option timestep="0.002" integrator="Euler"/>
 <worldbody>
@@ -103,7 +103,7 @@ def test_both_engines_simulate_the_same_physics(here):
     lift = "study.axes.lift={path: model.body.trunk.gravcomp, side: world, values: [0, 0.3]}"  # none nominally
     near = "study.axes.near={path: model.geom.foot.margin, side: world, values: [0, 0.01]}"
     exp = compose(["study=study.yaml", lift, near, "engine.precision=float64", "noise.white=0.01", "noise.delay=1"])
-    exp = batches.allocate_delay_buffers(exp, table := select_points(exp))
+    exp = batches.allocate_delay_buffers(exp, table := select_points_to_simulate(exp))
     native, again = (figures(exp, table, name=name) for name in ("native", "mjx"))
     assert native["slip_max_m"].max() > 0.005
     assert native["tilt_max_deg"].max() > 90
@@ -122,7 +122,7 @@ def test_both_engines_simulate_the_same_physics(here):
 def test_warp_simulates_the_same_physics(here):
     """In single precision, on Warp's CPU where there is no GPU; each rollout has fields of its own."""
     exp = compose(["study=study.yaml", "noise.white=0.01", "noise.delay=1"])
-    exp = batches.allocate_delay_buffers(exp, table := select_points(exp))
+    exp = batches.allocate_delay_buffers(exp, table := select_points_to_simulate(exp))
     native, again = (figures(exp, table, name=name) for name in ("native", "warp"))
     for name in ("base_height_min_m", "tilt_max_deg", "travelled_m", "slip_max_m", "energy_j", "load_max_n"):
         assert len(np.unique(native[name])) > 6
@@ -135,7 +135,7 @@ def test_warp_simulates_the_same_physics(here):
 def test_a_limit_of_warps_solver_is_no_lack_of_room(here):
     """Its line search is at its limit in every step with contacts."""
     exp = compose(["study=study.yaml", "model.duration=0.4", "model.option.ls_iterations=1"])
-    assert not figures(exp, select_points(exp), name="warp")["buffer_full"].any()
+    assert not figures(exp, select_points_to_simulate(exp), name="warp")["buffer_full"].any()
 
 
 @pytest.mark.skipif(find_spec("warp") is not None, reason="the extra warp is installed")
@@ -169,7 +169,7 @@ def test_how_it_is_simulated_is_an_axis(here):
         assert [one.partition("_")[2] for one in kinds.__members__] == [
             word.upper() for word in fields.ENUM_OPTIONS[name]
         ]
-    changed = fields.with_scalar_options(model, {"model.option.cone": "pyramidal", "model.option.timestep": 0.004})
+    changed = fields.replace_scalar_options(model, {"model.option.cone": "pyramidal", "model.option.timestep": 0.004})
     assert (changed.opt.cone, changed.opt.timestep, model.opt.timestep) == (0, 0.004, 0.001)
 
 
@@ -326,7 +326,7 @@ def test_what_mjx_warns_of_is_one_note(here, monkeypatch, capsys, recwarn):
         return put(*args, **options)
 
     monkeypatch.setattr(mjx.mjx, "put_model", put_with_warnings)
-    print_note.cache_clear()
+    print_note_once.cache_clear()
     for _ in range(2):
         _engine("Euler")
     notes = [line for line in capsys.readouterr().err.splitlines() if "warns" in line]
@@ -335,15 +335,15 @@ def test_what_mjx_warns_of_is_one_note(here, monkeypatch, capsys, recwarn):
 
 
 def test_where_mjx_parts_from_c_is_told(here, capsys):
-    assert not [*_engine("Euler").known_differences()]
-    (line,) = _engine("implicitfast").known_differences()
+    assert not [*_engine("Euler").describe_differences_from_mujoco()]
+    (line,) = _engine("implicitfast").describe_differences_from_mujoco()
     assert "model.option.integrator=Euler" in line
     tail = '<body><joint name="tail" axis="0 1 0"/><geom size="0.02" mass="0.1" contype="0"/></body>'
     joints = '<joint joint="hip" coef="1"/><joint joint="tail" coef="1"/>'
     tendon = f'<tendon><fixed name="t" armature="0.1">{joints}</fixed></tendon>'
     model = HOPPER.replace('<body name="leg"', f'{tail}<body name="leg"')
     Path("coupled.xml").write_text(model.replace("<actuator>", f"{tendon}<actuator>"))
-    (line,) = _engine("Euler", "model.mjcf=coupled.xml").known_differences()
+    (line,) = _engine("Euler", "model.mjcf=coupled.xml").describe_differences_from_mujoco()
     assert "armature of tendons" in line
 
 

@@ -121,7 +121,7 @@ def test_models_that_are_compiled_anew_are_what_mujoco_makes_of_their_numbers(he
     spec = mujoco.MjSpec.from_string(text)
     model = spec.copy().compile()
     batch = Batch(model, 3)
-    fields.write_values(
+    fields.write_batch_parameters(
         batch, {p: np.array([v, v, fields.parameter_field(model, p).default]) for p, v in WIDER.items()}, lambda: spec
     )
     spec = spec.copy()
@@ -173,14 +173,14 @@ def test_every_field_of_a_batch_is_a_path_or_has_a_reason_why_not():
             names = one.component_names or (fields.XYZ if one.needs_compiler else [*map(str, range(size))])
             path = f"{thing}.{name}" + (f".{names[size - 1]}" if size > 1 else "")
             nominal, batch = fields.parameter_field(model, path).default, Batch(model, 2)
-            fields.write_values(batch, {path: np.array([nominal, nominal + 0.25])}, lambda: spec)
+            fields.write_batch_parameters(batch, {path: np.array([nominal, nominal + 0.25])}, lambda: spec)
             same, other = (fields.field_values(batch.get_model(k), one.field) for k in (0, 1))
             np.testing.assert_array_equal(same, usual, err_msg=path)
             assert list(other[other != usual]) == [nominal + 0.25], path
             paths.add(one.field)
     simple = mujoco.MjSpec.from_string(ALL.replace(' simple="false"', "")).compile()
     with pytest.raises(InputError, match="MuJoCo simplified the body"):
-        fields.check_variable(lambda: spec, simple, "model.body.ball.ipos.x")
+        fields.require_variable_parameter(lambda: spec, simple, "model.body.ball.ipos.x")
     told = [pattern for patterns in fields.FIXED for pattern in patterns.split()]
     whole_numbers = {name for name in MODEL_FIELDS if fields.field_values(model, name).dtype.kind != "f"}
     for name in MODEL_FIELDS - whole_numbers:

@@ -18,8 +18,8 @@ from sweep.cli.main import main
 from sweep.config.experiment import compose
 from sweep.core.conditions import parse_conditions
 from sweep.runs import batches, results, store
-from sweep.runs.runner import select_points
-from sweep.systems.mujoco_model import batch, fields, judge
+from sweep.runs.runner import select_points_to_simulate
+from sweep.systems.mujoco_model import batch, fields, label_rollouts
 
 PAGE = (Path(__file__).parents[1] / "docs/own_model.md").read_text(encoding="utf-8")
 POLICY = (Path(__file__).parents[1] / "docs/howto/write_a_policy.md").read_text(encoding="utf-8")
@@ -64,7 +64,7 @@ def test_the_page_as_it_stands(tmp_path, monkeypatch):
     Path("scenarios/own.yaml").write_text(scenario)
     Path("studies/page.yaml").write_text(study)
     assert main(["run", "scenario=own"]) == 0
-    assert len(select_points(compose(["study=page"]))) == 3 * 3 * 2 * 2
+    assert len(select_points_to_simulate(compose(["study=page"]))) == 3 * 3 * 2 * 2
     Path("page.py").write_text(f"import jax.numpy as jnp\n{CODE[0]}{CODE[1]}")
     page = ["study=page", "model.controller=page:policy", "model.duration=0.1", "model.observe=[]", "out=page"]
     assert main(["run", *page]) == 0
@@ -152,7 +152,7 @@ def test_what_was_killed_goes_on_to_the_same_rows(here):
 def test_a_row_has_its_bits_whatever_runs_beside_it(here):
     noisy = ["noise.white=0.02", "noise.bias=0.01", "noise.delay=1"]
     exp = compose(["study=grip", "model.duration=0.5", *noisy])
-    rows = select_points(exp)
+    rows = select_points_to_simulate(exp)
     rows = pd.concat([rows, rows.assign(stream=rows["stream"] + 1)], ignore_index=True)  # 72: more than one tile
     whole = figures(exp, rows)
     assert np.ptp(whole["travelled_m"]) > 0
@@ -177,7 +177,7 @@ def test_a_row_has_its_bits_on_any_number_of_threads_and_cores(here, monkeypatch
     monkeypatch.setattr(batch, "Batch", pool)
     for threads in (1, 2, 5):
         monkeypatch.setattr(devices, "count_cores", lambda threads=threads: threads)
-        found[threads] = figures(exp := compose(noisy), points := select_points(exp))
+        found[threads] = figures(exp := compose(noisy), points := select_points_to_simulate(exp))
     assert {one._b.nthread for one in pools} == {*found}
     asked = ["-c", f"{ONE_CORE}sys.exit(main(sys.argv[1:]))", "run", *noisy, "engine.width=5", "out=one_core"]
     subprocess.run([sys.executable, *asked], check=True)
@@ -200,7 +200,7 @@ def test_fields_are_what_a_model_that_is_compiled_with_them_has(here):
         assert fields.parameter_field(other, path).default == pytest.approx(value)
         assert fields.parameter_field(model, path).default != pytest.approx(value)
     batch = Batch(model, 2)
-    fields.write_values(batch, {path: np.full(2, value) for path, value in wanted.items()}, lambda: spec)
+    fields.write_batch_parameters(batch, {path: np.full(2, value) for path, value in wanted.items()}, lambda: spec)
     batch.reset(keyframe=0)
     batch.step(nstep=100)
     data = mujoco.MjData(other)
@@ -242,7 +242,7 @@ def test_outcomes_are_told_by_what_holds_first():
     )
     figures = {"height_m": np.array([0.3, 0.1, 0.3, 0.1, 0.3]), "way_m": np.array([3.0, 3.0, 1.5, 0.5, 0.5]),
                "not_finite": np.zeros(5), "buffer_full": np.array([0.0, 1, 0, 0, 0])}  # fmt: skip
-    labels = judge(figures, conditions, ["run"])
+    labels = label_rollouts(figures, conditions, ["run"])
     assert list(labels["outcome"]) == ["success", "invalid", "failure", "failure", "failure"]
     assert list(labels["cause"]) == ["", "buffer_full", "goal_missed", "fell", "late"]
     np.testing.assert_allclose(labels["margin"], [0.5, -0.5, -0.25, -0.75, -0.75])
@@ -445,7 +445,7 @@ def test_a_policy_that_was_trained_elsewhere_runs_as_it_is(here, capsys):
     found = {}
     for name in ("walk.onnx", "layers:policy", "one.onnx"):
         exp = compose([*noisy, f"model.controller={name}"])
-        rows = select_points(exp)
+        rows = select_points_to_simulate(exp)
         rows = pd.concat([rows, rows.assign(stream=rows["stream"] + 1)], ignore_index=True)  # more than one tile
         found[name] = whole = figures(exp, rows)
         for part in ([71], range(60, 72)):

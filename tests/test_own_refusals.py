@@ -6,7 +6,7 @@ import pytest
 from small_study import one_line, without_progress
 
 from sweep.cli.main import main
-from sweep.systems.mujoco_model.engine import print_note
+from sweep.systems.mujoco_model.engine import print_note_once
 
 HOLD = (
     'FIGURES = {"height_m": "last height"}\n'
@@ -37,7 +37,7 @@ def policy(seen):
 def study(tmp_path, monkeypatch):
     """Writes a study of two gravities of a model and a controller; the arguments that run it."""
     monkeypatch.chdir(tmp_path)
-    print_note.cache_clear()  # which prints a line once in a process
+    print_note_once.cache_clear()  # which prints a line once in a process
 
     def write(name: str, model: str, controller: str, axis: str) -> list[str]:
         Path("model.xml").write_text(model)

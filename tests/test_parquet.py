@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from sweep.core.errors import InputError
-from sweep.core.files import decode_text, encode_text
+from sweep.core.files import deflate_to_base64, inflate_base64
 from sweep.runs import store
 from sweep.runs.parquet import read_parquet
 
@@ -102,7 +102,7 @@ def test_a_file_has_bytes_for_the_names_of_its_rows(tmp_path):
 
 def test_all_parts_together_expand_to_no_more_than_their_size_warrants(monkeypatch):
     folder, asked = Path(__file__).parent / "data" / "ci_smoke", []
-    monkeypatch.setattr(store, "check_expansion", lambda path, total, size: asked.append((total, size)))
+    monkeypatch.setattr(store, "check_decompressed_size", lambda path, total, size: asked.append((total, size)))
     store.read_rows(folder)
     parts = store.list_current_parts(folder)
     sizes = [store.read_table(folder, part).nbytes for part in parts]
@@ -110,8 +110,8 @@ def test_all_parts_together_expand_to_no_more_than_their_size_warrants(monkeypat
 
 
 def test_a_text_of_a_replay_expands_to_a_bounded_size(monkeypatch):
-    text = encode_text(bytes(1000))
-    assert decode_text(text) == bytes(1000)
+    text = deflate_to_base64(bytes(1000))
+    assert inflate_base64(text) == bytes(1000)
     monkeypatch.setattr("sweep.core.files.MAX_DECODED_BYTES", 999)
     with pytest.raises(ValueError, match="expands to more than 999 bytes"):
-        decode_text(text)
+        inflate_base64(text)

@@ -21,7 +21,7 @@ def with_a_gpu(monkeypatch, fake_engine):
     monkeypatch.setattr(devices, "find_spec", lambda name: name == "jax_plugins")
     monkeypatch.setattr(devices, "NVIDIA_DEVICE_FILES", "/dev/null")
     monkeypatch.setattr(devices, "count_cores", lambda: 2)
-    monkeypatch.setattr(devices, "start_device_search", lambda: None)
+    monkeypatch.setattr(devices, "search_devices_in_background", lambda: None)
     yield
     jax.config.update("jax_platforms", before)
 

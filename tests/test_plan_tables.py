@@ -17,7 +17,7 @@ from sweep.cli.main import main
 from sweep.config.experiment import compose
 from sweep.core import project
 from sweep.core.errors import InputError
-from sweep.fused.eager import evaluate_constants
+from sweep.fused.eager import evaluate_constant_function
 from sweep.models.plan_numbers import PlanTable
 from sweep.planning.plan_table import (
     GROUP,
@@ -86,7 +86,7 @@ def test_numbers_follow_the_sizes_that_are_believed(lab):
 
     assert above(case) == np.float32(0.1)
     np.testing.assert_allclose(above(longer), 0.1 - 0.5 * 0.04, atol=1e-7)
-    changed = jax.jit(lambda at: above(replace(longer, plan=longer.plan.with_value("roof.pitch.base.above", at))))
+    changed = jax.jit(lambda at: above(replace(longer, plan=longer.plan.replace_number("roof.pitch.base.above", at))))
     np.testing.assert_allclose(changed(0.3), 0.3 - 0.5 * 0.04, atol=1e-7)
 
 
@@ -169,7 +169,7 @@ def test_a_shipped_plan_says_where_its_numbers_come_from(name):
 
 
 def same(one, other):
-    one, other = (evaluate_constants(partial(without_forces, case)) for case in (one, other))
+    one, other = (evaluate_constant_function(partial(without_forces, case)) for case in (one, other))
     assert one.names == other.names
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-6), one, other)
 
@@ -219,7 +219,7 @@ def test_a_part_that_is_repeated_is_its_moves_again_and_again(lab):
         return ", ".join(f"{k}.all: {PAIRS % (k * step + more, 0.5 + k * step, k * step - 0.5)}" for k in (1, 2))
 
     again = case(f"repeat: 1 + 1, all: {PAIRS % ('step * (k + 1)', 'step * (k + 1) + 0.5', 'step * (k + 1) - 0.5')}")
-    assert evaluate_constants(partial(without_forces, again)).names == ("stand", "on.1.all", "on.2.all", "halt")
+    assert evaluate_constant_function(partial(without_forces, again)).names == ("stand", "on.1.all", "on.2.all", "halt")
     same(again, case(written(0.05)))
     same(replace_parameter(again, "plan.sizes.step", 0.04), case(written(0.04)))
     same(

@@ -10,7 +10,7 @@ from scipy.stats import binom, chi2_contingency
 from small_study import one_line
 
 from sweep.analysis import power, sampling_units
-from sweep.analysis.compare import sign_flip_p
+from sweep.analysis.compare import sign_flip_p_value
 from sweep.analysis.intervals import wilson
 from sweep.cli.main import main
 from sweep.core.errors import InputError
@@ -31,7 +31,7 @@ def test_a_rate_is_as_narrow_as_asked_in_nine_of_ten_studies():
 def test_the_power_of_paired_tests_is_a_sum_over_all_outcomes(pairs, lost, gained):
     total = 0.0
     for b, c in itertools.product(range(pairs + 1), repeat=2):
-        if 0 < b + c <= pairs and sign_flip_p(np.repeat([1, -1], [b, c])) <= 0.05:
+        if 0 < b + c <= pairs and sign_flip_p_value(np.repeat([1, -1], [b, c])) <= 0.05:
             total += binom.pmf(b + c, pairs, lost + gained) * binom.pmf(b, b + c, lost / (lost + gained))
     assert power.mcnemar_power(pairs, lost, gained) == pytest.approx(total, abs=1e-9)
     differences = np.repeat([1, -1, 0], [round(100 * lost), round(100 * gained), round(100 * (1 - lost - gained))])
@@ -43,16 +43,18 @@ def test_the_power_of_unpaired_tests_is_a_sum_over_all_outcomes():
     for j, k in itertools.product(range(13), repeat=2):
         if 0 < j + k < 24 and chi2_contingency([[j, 12 - j], [k, 12 - k]], correction=False)[1] < 0.05:
             total += binom.pmf(j, 12, 0.9) * binom.pmf(k, 12, 0.4)
-    assert power.unpaired_power(12, 0.9, 0.4) == pytest.approx(total, abs=1e-9)
+    assert power.unpaired_test_power(12, 0.9, 0.4) == pytest.approx(total, abs=1e-9)
     above, below = power.MAX_EXACT + 1, power.MAX_EXACT
-    assert power.unpaired_power(above, 0.9, 0.895) == pytest.approx(power.unpaired_power(below, 0.9, 0.895), abs=2e-3)
+    assert power.unpaired_test_power(above, 0.9, 0.895) == pytest.approx(
+        power.unpaired_test_power(below, 0.9, 0.895), abs=2e-3
+    )
 
 
 def test_common_draws_flip_fewer_pairs():
-    assert power.discordant_shares(0.9, 0.8, 0.0) == pytest.approx((0.18, 0.08))
-    assert power.discordant_shares(0.9, 0.8, 0.5) == pytest.approx((0.12, 0.02))
+    assert power.discordant_pair_shares(0.9, 0.8, 0.0) == pytest.approx((0.18, 0.08))
+    assert power.discordant_pair_shares(0.9, 0.8, 0.5) == pytest.approx((0.12, 0.02))
     with pytest.raises(InputError, match=r"to 0\.667"):
-        power.discordant_shares(0.9, 0.8, 0.9)
+        power.discordant_pair_shares(0.9, 0.8, 0.9)
 
 
 def test_a_region_is_certified_as_often_as_said():
@@ -81,7 +83,7 @@ def test_a_pilot_knows_the_unit_of_its_design(design, replicates):
     widths, number = [], 0
     for seed in range(40):
         exp, rows = rows_of(seed)
-        one = sampling_units.condition_rates(rows, exp, []).iloc[0]
+        one = sampling_units.success_rates_by_condition(rows, exp, []).iloc[0]
         widths.append((one["high"] - one["low"]) / 2)
     predicted = []
     for seed in range(100, 110):
@@ -90,7 +92,7 @@ def test_a_pilot_knows_the_unit_of_its_design(design, replicates):
         success = (rows["outcome"] == "success").to_numpy()
         unit = sampling_units.unit_numbers(rows, exp)
         assert unit is not None
-        pilot, number = power.count_units(success, unit, is_even), len(rows)
+        pilot, number = power.count_unit_successes(success, unit, is_even), len(rows)
         predicted.append(power.simulated_half_widths(pilot, len(pilot.won)).mean())
     assert np.mean(predicted) == pytest.approx(np.mean(widths), rel=0.15)
     of_rows = power.expected_half_width(number, 0.55)

@@ -9,7 +9,7 @@ from fake_engine import FakeEngine
 
 from sweep.cli.main import main
 from sweep.config.experiment import compose
-from sweep.systems.hexapod import iterate_case_values
+from sweep.systems.hexapod import iterate_case_parameters
 
 SITES, GEOMS, BELIEFS = 400, 300, 300
 SHELF = "".join(f'<geom name="g{k}" size="1" contype="0" conaffinity="0"/>' for k in range(GEOMS))
@@ -187,8 +187,8 @@ class Differing(FakeEngine):
         super().__init__(settings, *rest)
         self.settings = settings
 
-    def find_unread_columns(self, sides, ends):
-        return super().find_unread_columns(sides, ends) - {"contact.stiffness"}
+    def find_inactive_parameters(self, sides, ends):
+        return super().find_inactive_parameters(sides, ends) - {"contact.stiffness"}
 
     def run(self, world, belief, streams):
         found, native = super().run(world, belief, streams), self.settings.name == "native"
@@ -201,7 +201,7 @@ def test_what_an_engine_has_no_use_for_is_told_of_the_robot(fake_engine, capsys,
     monkeypatch.chdir(tmp_path)
     every = [
         (path, value)
-        for path, value in iterate_case_values(compose(["scenario=walk_tripod"]).case.robot, "robot")
+        for path, value in iterate_case_parameters(compose(["scenario=walk_tripod"]).case.robot, "robot")
         if value
     ]
     dead = {path: (value, 1.01 * value) for path, value in every if isinstance(value, float)}

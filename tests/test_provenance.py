@@ -45,7 +45,7 @@ def test_rows_of_the_same_sources_are_of_this_code_whatever_the_libraries(monkey
 
 
 def test_what_judges_and_searches_a_plan_is_in_the_version_of_a_search(monkeypatch):
-    real, version = provenance._read, provenance.search_version()
+    real, version = provenance._read, provenance.plan_search_version()
     for edited in ("planning/score.py", "planning/kinematic_margins.py", "runs/tuning.py", "controllers/plan.py"):
 
         def read(file, edited=edited):
@@ -53,7 +53,7 @@ def test_what_judges_and_searches_a_plan_is_in_the_version_of_a_search(monkeypat
             return imports, said + "\nvalues *= 2" * (file == provenance.SOURCE_FOLDER / edited)
 
         monkeypatch.setattr(provenance, "_read", read)
-        assert provenance.search_version.__wrapped__() != version, edited
+        assert provenance.plan_search_version.__wrapped__() != version, edited
 
 
 def test_every_module_that_a_worker_runs_is_in_the_version_of_the_code(monkeypatch):

@@ -10,7 +10,7 @@ import sweep.engines
 from sweep.cli.main import main
 from sweep.config.experiment import build_experiment, compose
 from sweep.runs import refine, store
-from sweep.runs.refine import FAILURE_LABEL, MISSING_LABEL, SUCCESS_LABEL, bisect_cells, fill_cells, leaf_cells
+from sweep.runs.refine import FAILURE_LABEL, MISSING_LABEL, SUCCESS_LABEL, bisect_cells, infer_cell_labels, leaf_cells
 
 FRICTION = "study.axes.friction={path: contact.friction, side: world, from: 0.05, to: 1.2, num: 9}"
 STEP = "study.axes.step={path: manoeuvre.half_step_ratio, from: 0.03, to: 0.2, num: 9}"
@@ -34,7 +34,7 @@ def test_bisection_finds_a_disc_with_ten_times_fewer_points():
     truth = disc(129)
     label = explored(truth, 4)
     assert (label != MISSING_LABEL).sum() < truth.size / 10
-    assert (fill_cells(label, 4) == truth).all()
+    assert (infer_cell_labels(label, 4) == truth).all()
 
 
 def test_the_cells_that_are_left_tile_the_map_and_only_the_smallest_disagree():
@@ -55,26 +55,26 @@ def test_a_strip_that_leaves_a_cell_through_its_side_is_followed():
     truth[20:23] = SUCCESS_LABEL  # thinner than a cell of the first grid: seen only where it is met
     truth[16:33, 14:18] = SUCCESS_LABEL  # it joins the strip, and meets two points of the first grid
     label = explored(truth, 4)
-    assert (fill_cells(label, 4) == truth).all()
+    assert (infer_cell_labels(label, 4) == truth).all()
 
 
 def test_a_boundary_in_three_dimensions_and_along_one():
     x, y, z = np.meshgrid(*[np.arange(33)] * 3, indexing="ij")
     truth = np.where(x + 2 * y + z < 60, SUCCESS_LABEL, FAILURE_LABEL)
     label = explored(truth, 3)
-    assert (fill_cells(label, 3) == truth).all()
+    assert (infer_cell_labels(label, 3) == truth).all()
     assert (label != MISSING_LABEL).mean() < 0.5
     line = np.where(np.arange(1025) < 300, SUCCESS_LABEL, FAILURE_LABEL)
     label = explored(line, 10)
     assert (label != MISSING_LABEL).sum() == 2 + 10
-    assert (fill_cells(label, 10) == line).all()
+    assert (infer_cell_labels(label, 10) == line).all()
 
 
 def test_what_the_first_grid_does_not_meet_is_an_island_that_the_audit_can_meet():
     truth = disc(129)
     truth[1:15, 1:15] = SUCCESS_LABEL
     label = explored(truth, 4)
-    wrong = fill_cells(label, 4) != truth
+    wrong = infer_cell_labels(label, 4) != truth
     assert 0 < wrong.mean() < 14 * 14 / 129**2 + 1e-9
 
 
@@ -106,7 +106,7 @@ def test_a_refined_map_is_the_grid_with_ten_times_fewer_rollouts(tmp_path, capsy
     assert found.rollouts < 129**2 / 10
     assert found.audited == 200
     assert found.missed == 0
-    assert found.missed_share_upper == pytest.approx(1 - 0.025 ** (1 / 200))
+    assert found.mislabelled_share_upper_bound == pytest.approx(1 - 0.025 ** (1 / 200))
     assert re.search(
         r"refined: [\d,]+ rollouts, 0 invalid \(0\.0 %\), for a grid of 129 x 129 points, 1\d\.\d times fewer; "
         r"0 of 200 audited",

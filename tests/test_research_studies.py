@@ -7,7 +7,7 @@ import pytest
 from small_study import one_line
 from test_docs import AnyEngine
 
-from sweep.cli.choices import shipped_choices
+from sweep.cli.choices import shipped_group_choices
 from sweep.cli.main import main
 from sweep.config.experiment import compose
 from sweep.runs import store
@@ -22,7 +22,7 @@ def test_every_study_of_the_evidence_runs_by_path_from_anywhere(file, monkeypatc
     exp = compose([f"study={file}"])
     assert exp.study.axes
     assert exp.study.name in (file.stem, exp.scenario + file.stem[file.stem.index("_") :])
-    assert file.stem not in shipped_choices("study")
+    assert file.stem not in shipped_group_choices("study")
 
 
 @pytest.mark.parametrize("fake_engine", [AnyEngine], indirect=True)

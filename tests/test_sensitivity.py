@@ -76,13 +76,13 @@ def test_a_grid_brackets_the_volume(study):
     ends = {"num": 21, "from": 0.3, "to": 0.4}
     exp, rows = study({"shin": {"path": "robot.shin", **ends},
                        "thigh": {"path": "robot.thigh", "num": 21, "from": 0.5, "to": 0.6}}, quarter_disc)  # fmt: skip
-    found = sensitivity.grid_volume(rows, exp)
+    found = sensitivity.grid_success_volume(rows, exp)
     assert found.low < np.pi / 4 < found.high
     assert found.share == pytest.approx(np.pi / 4, abs=0.02)
     assert found.high - found.low == pytest.approx(2 * 20 / 400, abs=0.03)  # a circle cuts about 2 n of n^2 cells
     assert found.invalid == 0
     rows.loc[rows.index[3], "outcome"] = "invalid"
-    again = sensitivity.grid_volume(rows, exp)
+    again = sensitivity.grid_success_volume(rows, exp)
     assert again.low < found.low
     assert again.invalid == 1
 
@@ -93,7 +93,7 @@ def test_margins_reach_from_nominal_to_the_boundary(study):
         "friction": {"path": "contact.friction", "side": "world", "from": 0.2, "to": 1.0, "num": 5},
     }
     exp, rows = study(axes, lambda t: (t["world.contact.friction"] > 0.5) & (t["robot.shin"] < 0.38))
-    found = sensitivity.margins_from_nominal(rows, exp).set_index(["axis", "side"])
+    found = sensitivity.success_ranges_around_nominal(rows, exp).set_index(["axis", "side"])
     shin = found.loc["robot.shin"]
     assert shin.loc["above", ["holds_to", "fails_at"]].tolist() == [0.35, 0.4]
     assert shin.loc["below", "holds_to"] == 0.25
@@ -111,7 +111,7 @@ def test_the_logistic_fit_finds_the_curve_and_its_intervals_cover():
     for _ in range(400):
         success = rng.random(len(x)) < truth
         fit = sensitivity.fit_logistic(x, success)
-        fits.append(sensitivity.goodness_of_fit_p(fit, x, success))
+        fits.append(sensitivity.goodness_of_fit_p_value(fit, x, success))
         low, high = fit.x_at_probability(0.9)[1]
         hits.append(low <= at <= high)
         _, band = fit.probability(0.03)
@@ -124,9 +124,9 @@ def test_the_logistic_fit_finds_the_curve_and_its_intervals_cover():
 def test_a_fit_that_the_rates_do_not_follow_is_told():
     x, rng = np.repeat([0.0, 0.2, 0.4, 0.6, 0.65, 0.7], 100), np.random.default_rng(3)
     step = rng.random(len(x)) < np.where(x < 0.62, 0.95, 0.0)
-    assert sensitivity.goodness_of_fit_p(sensitivity.fit_logistic(x, step), x, step) < 1e-3
+    assert sensitivity.goodness_of_fit_p_value(sensitivity.fit_logistic(x, step), x, step) < 1e-3
     assert np.isnan(
-        sensitivity.goodness_of_fit_p(sensitivity.fit_logistic(x, step), x + rng.random(len(x)), step)
+        sensitivity.goodness_of_fit_p_value(sensitivity.fit_logistic(x, step), x + rng.random(len(x)), step)
     )  # all differ
 
 
@@ -146,12 +146,12 @@ def test_the_tolerance_to_an_error_is_told_on_either_side(study):
     axes = {"error": {"path": "robot.shin", "side": "belief", "relative": 1, "from": -0.08, "to": 0.08, "num": 9},
             "f": {"path": "contact.friction", "values": [0.5, 1.0]}}  # fmt: skip
     exp, rows = study(axes, succeeds, replicates=100)
-    found = sensitivity.tolerated_errors(rows, exp, 0.5).query("axis == 'axis.error'").set_index("side")
+    found = sensitivity.tolerated_parameter_errors(rows, exp, 0.5).query("axis == 'axis.error'").set_index("side")
     for side, expected in (("above", 5 / 200), ("below", 5 / 50)):
         assert found.loc[side, "low"] < expected < found.loc[side, "high"]
     assert (found["total"] == 5 * 100).all()  # at the nominal friction only
     rows["outcome"] = np.where(np.arange(len(rows)) % 2, "success", "failure")
-    assert (sensitivity.tolerated_errors(rows, exp, 0.9)["error"] == 0).all()
+    assert (sensitivity.tolerated_parameter_errors(rows, exp, 0.9)["error"] == 0).all()
 
 
 def test_regional_sensitivity_puts_what_matters_first(study):

@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import sweep
-from sweep.analysis.axis_effects import compare_along_axes
+from sweep.analysis.axis_effects import check_axis_effects
 from sweep.cli.commands import report
 from sweep.cli.main import main
 from sweep.config.experiment import compose
@@ -86,7 +86,7 @@ def test_an_axis_that_changes_bookkeeping_alone_has_an_effect(tmp_path):
     entries = [store.write_part(folder, table, part.study, part.labels) for table, part in judged]
     manifest.rewrite_manifest(folder, [*(one for one in manifest.read_manifest(folder) if one not in parts), *entries])
     found = results.read_results(folder, with_bookkeeping=False)
-    effects = {name: not pairs.are_equal for name, pairs in compare_along_axes(found.rows, found.exp).items()}
+    effects = {name: not pairs.are_equal for name, pairs in check_axis_effects(found.rows, found.exp).items()}
     assert effects == {"friction": False, "step": True, "engine": False}
 
 
@@ -179,7 +179,7 @@ def test_a_plan_is_made_in_few_times_its_own_memory(fake_engine, tmp_path):
     number = 100_000
     exp = compose([*DRAWN, f"study.design.num={number}"])
     tracemalloc.start()
-    job = runner.prepare_job(exp, tmp_path / "out", runner.select_points(exp, with_ids=False))
+    job = runner.prepare_job(exp, tmp_path / "out", runner.select_points_to_simulate(exp, with_ids=False))
     size, peak = int(job.table.memory_usage(index=False).sum()), tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert size == 7 * 8 * number  # two axes, replicate, group, batch, slot and width

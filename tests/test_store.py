@@ -84,7 +84,7 @@ def test_other_thresholds_judge_the_stored_rows_anew(tmp_path, capsys):
 def test_a_stored_point_leads_back_to_its_batch(tmp_path):
     assert main(["run", *STUDY, f"out={tmp_path}"]) == 0
     row = content(tmp_path).iloc[42]
-    task, slot, found = runner.load_point(tmp_path, row["point_id"])
+    task, slot, found = runner.load_stored_rollout(tmp_path, row["point_id"])
     assert found["point_id"] == row["point_id"]
     assert np.asarray(task.world.contact.friction)[slot] == row["world.contact.friction"]
     assert np.asarray(task.belief.manoeuvre.half_step_ratio)[slot] == row["manoeuvre.half_step_ratio"]

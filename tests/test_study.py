@@ -7,7 +7,7 @@ from sweep.config.experiment import compose
 from sweep.core.expressions import condition_mask
 from sweep.core.parameters import InputError
 from sweep.runs.batches import allocate_delay_buffers, assign_batches, make_batch, make_nominal_batch
-from sweep.runs.runner import select_points
+from sweep.runs.runner import select_points_to_simulate
 from sweep.study.designs import parse_axes
 from sweep.study.study import make_points
 
@@ -201,15 +201,15 @@ def test_conditions_select_rows_and_run_no_code():
 
 def test_limit_and_where_choose_points_of_a_study():
     exp = compose(["study=walk_map"])
-    assert len(select_points(exp, "friction > 1", 5)) == 5
+    assert len(select_points_to_simulate(exp, "friction > 1", 5)) == 5
     with pytest.raises(InputError, match="no point of walk_map"):
-        select_points(exp, "friction > 2")
-    assert np.all(select_points(exp, "friction > 1")["world.contact.friction"] > 1)
+        select_points_to_simulate(exp, "friction > 2")
+    assert np.all(select_points_to_simulate(exp, "friction > 1")["world.contact.friction"] > 1)
 
 
 def test_a_side_by_its_old_name_is_read_and_noted(capsys):
     exp = compose(["+study.axes.f={path: contact.friction, on: world, values: [0.5]}"])
-    assert exp.study.axes[0].target == "world.contact.friction"
+    assert exp.study.axes[0].parameter_column == "world.contact.friction"
     assert exp.values["study"]["axes"]["f"]["side"] == "world"
     assert capsys.readouterr().err == "sweep: note: the key `on` of an axis is now called `side`\n"
     with pytest.raises(InputError, match="on is not allowed together with side"):
@@ -232,11 +232,11 @@ def test_a_path_with_a_star_is_an_axis_for_each_number_below_it():
     exp = compose(["scenario=ball_descend", "study=any_plan_sensitivity", "study.axes.number.path=plan.off.hold.*"])
     table = make_points(exp.study, exp.system, exp.settings)
     held = {f"plan.off.hold.{name}" for name in ("seconds", "base.elevation", "base.distance", "base.ahead")}
-    assert {a.target for a in exp.study.axes} == held
+    assert {a.parameter_column for a in exp.study.axes} == held
     assert len(table) == 8 * (len(held) + 1)  # Morris' paths
     for path in held:
         assert np.ptp(table[path]) == pytest.approx(0.04 * exp.system.nominal(path, exp.settings), rel=0.02)
     with pytest.raises(InputError, match=r"study.axes.number.path = plan.of.\* matches no number that is not zero"):
         compose(["scenario=ball_descend", "study=any_plan_sensitivity", "study.axes.number.path=plan.of.*"])
     sizes = compose(["+study.axes.size={path: robot.*, relative: 0.01}", "study.design.num=2"]).study.axes
-    assert {"robot.thigh", "robot.body_mass"} < {a.target for a in sizes}
+    assert {"robot.thigh", "robot.body_mass"} < {a.parameter_column for a in sizes}

@@ -11,7 +11,7 @@ from small_study import one_line
 from sweep.cli.main import main
 from sweep.config.experiment import compose
 from sweep.runs import batches, store
-from sweep.runs.runner import select_points
+from sweep.runs.runner import select_points_to_simulate
 
 POLICY = "observation: [{term: sensor, sensor: clock, name: time}, base_height]\naction: {scale: 1.0}\n"
 
@@ -19,7 +19,7 @@ POLICY = "observation: [{term: sensor, sensor: clock, name: time}, base_height]\
 def simulate(*axis):
     """Times (rollouts, ticks) that the policy has seen, as its first action is: what is late, wrong or held."""
     exp = compose(["study=one", "engine.precision=float64", *axis])
-    rows = select_points(exp)
+    rows = select_points_to_simulate(exp)
     exp = batches.allocate_delay_buffers(exp, rows)
     rows = batches.assign_batches(exp, pd.DataFrame(), rows).assign(width=len(rows))
     task = batches.make_batch(exp, rows)

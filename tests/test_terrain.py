@@ -13,7 +13,7 @@ from small_study import one_line
 from sweep.cli.main import main
 from sweep.config.experiment import compose
 from sweep.runs import store
-from sweep.runs.runner import select_points
+from sweep.runs.runner import select_points_to_simulate
 from sweep.systems.mujoco_model.terrain_heights import NUMBERS, compute_heights
 
 PERIOD, RADIUS, GRAVITY = 0.02, 0.1, 9.81
@@ -119,7 +119,7 @@ def test_rows_depend_on_the_seed_and_not_on_what_runs_beside_them(here):
             ["+model.terrain.seed=2", "study.axes.one={path: model.terrain.kind, values: [rough, flat]}"],
         )
     ]
-    varied, nominal = (select_points(exp)["point_id"] for exp in points)
+    varied, nominal = (select_points_to_simulate(exp)["point_id"] for exp in points)
     assert nominal[0] == varied[1] != varied[0]
     assert nominal[1] not in set(varied)
 

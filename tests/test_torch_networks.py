@@ -12,7 +12,7 @@ from small_study import one_line
 from sweep.cli.main import main
 from sweep.config.experiment import compose
 from sweep.runs import batches
-from sweep.runs.runner import select_points
+from sweep.runs.runner import select_points_to_simulate
 from sweep.systems.mujoco_model.torch_network import read_torch_network
 
 torch = pytest.importorskip("torch")
@@ -86,7 +86,7 @@ def test_a_recurrent_policy_carries_its_state_over_ticks(here, file, capsys):
     policy = RecurrentPolicy(9, 3).eval()
     save(policy, file, (torch.zeros(1, 9), torch.zeros(1, 1, 8), torch.zeros(1, 1, 8)))
     exp = compose(["study=one", "engine.precision=float64"])
-    rows = batches.assign_batches(exp, pd.DataFrame(), select_points(exp)).assign(width=1)
+    rows = batches.assign_batches(exp, pd.DataFrame(), select_points_to_simulate(exp)).assign(width=1)
     task = batches.make_batch(exp, rows)
     made = exp.system.make_engine(task.settings, task.world, task.belief, None)
     columns = made.trace(task.world, task.belief, task.streams, 0).columns

@@ -18,14 +18,14 @@ def test_right_predictions_are_calibrated_and_wrong_ones_are_not():
         predicted = rng.uniform(0.05, 0.95, 150)
         right = rng.random(150) < predicted
         wrong = rng.random(150) < np.clip(predicted - 0.2 * np.sign(predicted - 0.5), 0, 1)
-        called += [trials.calibration(predicted, one).p_value < 0.05 for one in (right, wrong)]
+        called += [trials.assess_prediction_calibration(predicted, one).p_value < 0.05 for one in (right, wrong)]
     assert 0.02 < called[0] / 400 < 0.08
     assert called[1] / 400 > 0.9
 
 
 def test_the_brier_score_of_right_predictions_is_their_variance():
     predicted = np.full(40_000, 0.3)
-    found = trials.calibration(predicted, np.arange(40_000) % 10 < 3)
+    found = trials.assess_prediction_calibration(predicted, np.arange(40_000) % 10 < 3)
     assert found.brier == pytest.approx(found.expected_brier) == pytest.approx(0.21)
     curve = trials.reliability_curve(np.repeat([0.1, 0.9], 50), np.repeat([False, True], 50))
     assert curve[["trials", "success"]].to_numpy().tolist() == [[50, 0], [50, 50]]
@@ -38,8 +38,8 @@ def test_trials_say_which_parameter_reality_has():
     values = pd.DataFrame({"x": rng.random(4000), "y": rng.random(4000)})
     conditions = np.arange(11) / 10
     simulated = (conditions + values[["x"]].to_numpy() < 1.2).astype(float)
-    weights = trials.belief_weights(simulated, conditions + 0.72 < 1.2, 1e-6)
-    table = trials.belief_table(values, weights).set_index("parameter")
+    weights = trials.draw_likelihood_weights(simulated, conditions + 0.72 < 1.2, 1e-6)
+    table = trials.prior_posterior_table(values, weights).set_index("parameter")
     assert effective_sample_size(weights) == pytest.approx(values["x"].between(0.7, 0.8).sum(), abs=1)
     assert table.loc["x", "mean_after"] == pytest.approx(0.75, abs=0.005)
     assert table.loc["x", "sd_after"] == pytest.approx(0.1 / np.sqrt(12), abs=0.003)
@@ -51,8 +51,8 @@ def test_parameters_that_do_not_matter_rarely_move():
     rng, moved = np.random.default_rng(1), 0
     for _ in range(300):
         values = pd.DataFrame(rng.random((200, 3)), columns=["x", "y", "z"])
-        weights = trials.belief_weights(rng.random((200, 8)), rng.random(8) < 0.5, 0.05)
-        moved += (trials.belief_table(values, weights)["p_holm"] < 0.05).any()
+        weights = trials.draw_likelihood_weights(rng.random((200, 8)), rng.random(8) < 0.5, 0.05)
+        moved += (trials.prior_posterior_table(values, weights)["p_holm"] < 0.05).any()
     assert moved / 300 < 0.08
 
 

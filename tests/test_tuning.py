@@ -15,7 +15,7 @@ import yaml
 
 from sweep.cli.main import main
 from sweep.cli.plan_limits import describe_separating_sizes
-from sweep.cli.plan_search import nominal_drawn_sizes, tuned_plan_content
+from sweep.cli.plan_search import nominal_drawn_parameters, tuned_plan_content
 from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.engines.limiting_parts import describe_limiting_part
@@ -26,14 +26,14 @@ from sweep.planning.score import (
     MAX_DEFICIT,
     MarginAim,
     PlanScore,
-    independent_groups,
-    local_minima,
-    with_draw_axis,
+    broadcast_over_draws,
+    group_independent_numbers,
+    mask_non_minima,
 )
-from sweep.planning.score import with_plan_number as moved
+from sweep.planning.score import replace_plan_number as moved
 from sweep.runs import tuning
-from sweep.runs.tuning import fit_size_slopes, parse_free_numbers, search_by_cma, search_by_gradients
-from sweep.runs.unsearched_values import describe_unsearched_values
+from sweep.runs.tuning import fit_plan_slopes_over_sizes, parse_free_plan_numbers, search_by_cma, search_by_gradients
+from sweep.runs.unsearched_values import describe_values_outside_tuned_range
 from sweep.study.study import make_points
 
 STUDIES = Path(__file__).parents[1] / "research" / "studies"
@@ -113,7 +113,9 @@ class Wants:
         )
 
     def by_programs(self, how, log):
-        found = fit_size_slopes(self.lacking, self.sloping, self.steps, self.off, how, log, lambda done, least: None)
+        found = fit_plan_slopes_over_sizes(
+            self.lacking, self.sloping, self.steps, self.off, how, log, lambda done, least: None
+        )
         return found - self.slopes
 
 
@@ -132,14 +134,14 @@ def test_what_draws_want_is_found_and_an_interrupted_search_goes_on(by, ends, of
 
 def test_numbers_are_free_by_pattern_times_only_by_a_step():
     at = {"top.rear.time": 3.0, "top.rear.base.ahead": 0.1, "top.rear.base.pitch": 5.0, "over.lift": 1.0}
-    assert parse_free_numbers(at, ["top.*"]) == {"top.rear.base.ahead": 0.02, "top.rear.base.pitch": 2.0}
-    assert parse_free_numbers(at, ["*.time=0.5", "*.pitch", "*.pitch=1"]) == {
+    assert parse_free_plan_numbers(at, ["top.*"]) == {"top.rear.base.ahead": 0.02, "top.rear.base.pitch": 2.0}
+    assert parse_free_plan_numbers(at, ["*.time=0.5", "*.pitch", "*.pitch=1"]) == {
         "top.rear.time": 0.5,
         "top.rear.base.pitch": 1,
     }
     for wrong in ("roof.*", "*=wide", "*=-1", "*.time"):
         with pytest.raises(InputError, match=r"--free = "):
-            parse_free_numbers(at, [wrong])
+            parse_free_plan_numbers(at, [wrong])
 
 
 def test_a_plan_that_touches_is_tuned_until_it_does_not(tmp_path, monkeypatch, capsys):
@@ -170,10 +172,10 @@ def test_a_plan_that_touches_is_tuned_until_it_does_not(tmp_path, monkeypatch, c
 def test_a_formula_is_free_with_a_step_and_raised_to_what_is_found():
     case, path = compose(["scenario=pole_climb"]).case, "climb.up.rear.rear.above"
     formulas = plan_table.formula_values(case)
-    assert set(parse_free_numbers(plan_table.plan_values(case), ["climb.up.rear.*"], formulas)) == {
+    assert set(parse_free_plan_numbers(plan_table.plan_values(case), ["climb.up.rear.*"], formulas)) == {
         f"climb.up.rear.{name}" for name in ("rear.ahead", "lift", "plane.out", "plane.ahead", "plane.up")
     }
-    assert parse_free_numbers(plan_table.plan_values(case), [f"{path}=0.1"], formulas) == {path: 0.1}
+    assert parse_free_plan_numbers(plan_table.plan_values(case), [f"{path}=0.1"], formulas) == {path: 0.1}
     found = {path: formulas[path] + 0.01, "climb.up.middle.base.above": formulas["climb.up.middle.base.above"] + 1e-5}
     content = tuned_plan_content(case, found)
     assert content["climb"]["up.rear"]["rear"]["side"] == [0, "upright - reach + 0.01"]
@@ -202,11 +204,11 @@ def test_gradients_move_numbers_of_the_manoeuvre_too_and_the_file_says_so(tmp_pa
 @pytest.mark.slow
 def test_gradients_of_what_forces_lack_are_those_of_small_changes():
     exp, stages = compose(["scenario=pole_top"]), ["over.front"]
-    draws = with_draw_axis(*tuning.draw_beliefs(exp, 1))
+    draws = broadcast_over_draws(*tuning.draw_beliefs(exp, 1))
     score = PlanScore(exp.case, ["over.front.base.above"], [MarginAim("hold", "*", 0.5)], stages, [("*", 2)], True, 1)
     above = numbers_by_path(evaluate_plan(exp.case), exp.case.obstacle.charts)["over.front.base.above"]
     (less, _), (_, slope), (more, _) = (
-        score.deficit_gradients(np.array([above + by]), draws) for by in (-0.002, 0.0, 0.002)
+        score.squared_deficit_gradients(np.array([above + by]), draws) for by in (-0.002, 0.0, 0.002)
     )
     np.testing.assert_allclose(slope[:, 0], (more - less) / 0.004, rtol=0.05)
 
@@ -221,7 +223,7 @@ def test_a_margin_that_is_no_number_lacks_the_most():
 @pytest.mark.slow
 def test_stages_are_judged_at_moments_of_their_own():
     exp, stages = compose(["scenario=pole_top"]), ["over.front", "top.rear"]
-    draws = with_draw_axis(*tuning.draw_beliefs(exp, 1))
+    draws = broadcast_over_draws(*tuning.draw_beliefs(exp, 1))
 
     def rates(*moments):
         return PlanScore(exp.case, [], [], stages, moments, False, 1).margins(np.zeros(0), draws)["rate"][0]
@@ -235,7 +237,7 @@ def test_stages_are_judged_at_moments_of_their_own():
 
 
 def test_worst_moments_are_those_worse_than_beside_them():
-    found = local_minima(
+    found = mask_non_minima(
         jnp.array([[3.0, 1.0, 2.0, 2.0, 0.0, 0.0], [1.0, 2.0, 3.0, 2.0, 1.0, 2.0], [1.0, 1.0, 1.0, 1.0, 1.0, 1.0]])
     )
     least = np.full((3, 6), np.inf)
@@ -245,22 +247,25 @@ def test_worst_moments_are_those_worse_than_beside_them():
 
 def test_only_what_touches_nothing_in_common_is_of_one_group():
     touched = np.array([[1, 1, 0, 0], [0, 1, 1, 0], [0, 0, 1, 1], [0, 0, 0, 1]], bool)
-    assert independent_groups(touched).tolist() == [0, 1, 0, 1]
-    assert independent_groups(np.ones((3, 2), bool)).tolist() == [0, 1, 2]
+    assert group_independent_numbers(touched).tolist() == [0, 1, 0, 1]
+    assert group_independent_numbers(np.ones((3, 2), bool)).tolist() == [0, 1, 2]
 
 
 @pytest.mark.slow
 def test_slopes_of_numbers_that_move_together_are_those_of_each():
     exp, free = compose(["scenario=pole_top"]), ["over.front.base.ahead", "top.rear.base.ahead", "top.rear.base.above"]
     draws, told = (
-        with_draw_axis(*tuning.draw_beliefs(exp, 1)),
+        broadcast_over_draws(*tuning.draw_beliefs(exp, 1)),
         numbers_by_path(evaluate_plan(exp.case), exp.case.obstacle.charts),
     )
     first, steps = np.array([[told[path] for path in free]]), np.array([0.01, 0.02, 0.03])
     score = PlanScore(exp.case, free, [], ["over.front", "top.rear"], [("*", 3)], False, 1)
-    lack, slopes = score.deficit_slopes(first, draws, steps)
+    lack, slopes = score.deficit_finite_differences(first, draws, steps)
     known = np.isfinite(lack[0, 0])
-    moved = [score.deficits(score.margins(first + DIFFERENCE_SHARE * step, draws))[0, known] for step in np.diag(steps)]
+    moved = [
+        score.margin_deficits(score.margins(first + DIFFERENCE_SHARE * step, draws))[0, known]
+        for step in np.diag(steps)
+    ]
     apart = np.stack([x - lack[0, 0, known] for x in moved], axis=1)
     np.testing.assert_allclose(slopes[0, 0, known] * DIFFERENCE_SHARE * steps, apart, atol=2e-3)
     assert (np.abs(apart) > 0.01).any(axis=0).all()
@@ -347,14 +352,16 @@ def test_a_foot_that_lands_has_not_swung_into_the_ground(tmp_path, monkeypatch):
     (tmp_path / "scenarios" / "beside.yaml").write_text(ON_A_BALL)
     monkeypatch.chdir(tmp_path)
     case = compose(["scenario=beside"]).case
-    played = PlanScore(case, (), (), ("go.*",), [("*", 1)], False, 1).margins(np.zeros(0), with_draw_axis(case, 1))
+    played = PlanScore(case, (), (), ("go.*",), [("*", 1)], False, 1).margins(
+        np.zeros(0), broadcast_over_draws(case, 1)
+    )
     assert played["swing"].min() > 0.003
 
 
 def test_numbers_do_not_follow_a_size_that_is_nought():
     exp = compose(["scenario=ball_to_ball", f"study={STUDIES / 'ball_to_ball_known.yaml'}"])
     assert exp.case.obstacle.offset == 0
-    assert "obstacle.gap" in (sizes := nominal_drawn_sizes(exp))
+    assert "obstacle.gap" in (sizes := nominal_drawn_parameters(exp))
     assert "obstacle.offset" not in sizes
 
 
@@ -399,7 +406,7 @@ def test_a_study_is_told_which_sizes_its_plan_was_not_searched_for(tmp_path, mon
     def describe(largest):
         (tmp_path / "wide.yaml").write_text(study % largest)
         exp = compose(["study=wide.yaml", "plan=mine.yaml"])
-        return describe_unsearched_values(exp, make_points(exp.study, exp.system, exp.settings))
+        return describe_values_outside_tuned_range(exp, make_points(exp.study, exp.system, exp.settings))
 
     command = "sweep tune scenario=pole_top study=wide --follow --simulate out=plans/pole_top.yaml"
     assert describe(0.46) == [

@@ -34,9 +34,9 @@ def sound(tmp_path_factory):
     out = tmp_path_factory.mktemp("sound") / "out"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sweep.engines, "make_engine", FakeEngine)
-        batches.forget_engine()
+        batches.clear_engine_cache()
         assert main(["run", *STUDY, f"out={out}"]) == 0
-        batches.forget_engine()
+        batches.clear_engine_cache()
     return out
 
 

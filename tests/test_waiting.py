@@ -12,7 +12,7 @@ def test_a_wait_in_a_pipe_is_told_and_remembered(monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(progress, "FIRST_LINE_AFTER_S", 0.05)
     assert progress.format_last_duration("walk for mjx") == ""
-    progress.remember_duration("walk for mjx", 17.2)
+    progress.store_step_duration("walk for mjx", 17.2)
     with progress.show_elapsed_time(f"compiling walk for mjx{progress.format_last_duration('walk for mjx')}"):
         time.sleep(0.3)
     out, err = capsys.readouterr()
@@ -26,15 +26,15 @@ def test_a_wait_in_a_pipe_is_told_and_remembered(monkeypatch, tmp_path, capsys):
 def test_which_program_is_compiled_is_told_with_what_it_took_last_time(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(progress, "MIN_STORED_DURATION_S", 0.0)
-    with progress.time_step_part("plan"), progress.time_step_part("closed loop"):
+    with progress.measure_part_duration("plan"), progress.measure_part_duration("closed loop"):
         assert progress.format_running_parts("ladder for mjx") == ": plan for 0 s and closed loop for 0 s"
         time.sleep(0.1)
-    progress.remember_duration("ladder for mjx", 50.0)
-    with progress.time_step_part("plan"):
+    progress.store_step_duration("ladder for mjx", 50.0)
+    with progress.measure_part_duration("plan"):
         assert progress.format_running_parts("ladder for mjx") == ": plan for 0 s (0 s last time)"
         assert progress.format_running_parts("walk for mjx") == ": plan for 0 s"
     assert progress.format_running_parts("ladder for mjx") == ""
-    progress.remember_duration("ladder for mjx", 5.0)  # with programs that were kept
+    progress.store_step_duration("ladder for mjx", 5.0)  # with programs that were kept
     assert progress.format_last_duration("ladder for mjx") == " (5 s last time)"
     assert progress.format_last_duration("ladder for mjx: closed loop")
 
@@ -49,7 +49,7 @@ def test_waits_are_kept_where_programs_are_or_not_at_all(monkeypatch, tmp_path, 
         monkeypatch.setattr(progress, "cache_folder", lambda: None)
     before = os.umask(0o002)
     try:
-        progress.remember_duration("walk for mjx", 17.2)
+        progress.store_step_duration("walk for mjx", 17.2)
     finally:
         os.umask(before)
     assert progress.format_last_duration("walk for mjx") == (" (17 s last time)" if folder else "")
@@ -68,7 +68,7 @@ def test_the_compilers_own_alarm_is_silent_unless_asked_for():
 def test_compile_time_is_estimated_by_the_last_time_on_this_machine(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert "not measured on this machine before" in progress.format_compile_estimate("walk for mjx")
-    progress.remember_duration("walk for mjx", 17.2)
+    progress.store_step_duration("walk for mjx", 17.2)
     assert progress.format_compile_estimate("walk for mjx").startswith("about 17 s to compile")
     assert "not measured" in progress.format_compile_estimate("ladder for mjx")
 
@@ -81,5 +81,5 @@ def test_a_damaged_file_of_compile_times_is_named_and_written_anew(monkeypatch, 
     file.write_text(content, encoding="latin-1")
     assert f"compile time unknown: {file} is damaged" in progress.format_compile_estimate("walk for mjx")
     assert progress.format_last_duration("walk for mjx") == ""
-    progress.remember_duration("walk for mjx", 17.2)
+    progress.store_step_duration("walk for mjx", 17.2)
     assert progress.format_compile_estimate("walk for mjx").startswith("about 17 s")

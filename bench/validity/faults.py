@@ -109,8 +109,8 @@ def _patches() -> Iterator[Any]:
         name: getattr(owner, name)
         for owner, name in (
             (simulation, "step"), (step, "contact_forces"), (contacts, "update_anchors"),
-            (contacts.ContactSet, "root_wrenches"), (tree, "tree_terms"), (free_bodies, "bias_wrench"),
-            (step._Problem, "_improve"),
+            (contacts.ContactSet, "root_wrenches"), (tree, "robot_dynamics_terms"), (free_bodies, "bias_wrench"),
+            (step._ImplicitStepProblem, "_improve"),
         )
     }  # fmt: skip
 
@@ -142,11 +142,11 @@ def _patches() -> Iterator[Any]:
         return right["root_wrenches"](self, twice * force, None if moment is None else twice * moment)
 
     def terms(*of: Any) -> Any:
-        found = right["tree_terms"](*of)
+        found = right["robot_dynamics_terms"](*of)
         half = unless("half the gravity torque of the joints", 0.5)
         return found._replace(bias=found.bias._replace(leg=tuple(half * part for part in found.bias.leg)))
 
-    def anchors(law, surface, point, frames, place, forces, velocity, h) -> contacts.Anchors:
+    def anchors(law, surface, point, frames, place, forces, velocity, h) -> contacts.ContactAnchors:
         dragged = forces.slipping & ~has("anchors left behind by what slips")
         found = right["update_anchors"](
             law, surface, point, frames, place, forces._replace(slipping=dragged), velocity, h
@@ -165,8 +165,9 @@ def _patches() -> Iterator[Any]:
 
     wrong = (
         (simulation, "step", told), (step, "contact_forces", forces), (contacts, "update_anchors", anchors),
-        (contacts.ContactSet, "root_wrenches", onto), (tree, "tree_terms", terms), (free_bodies, "bias_wrench", bias),
-        (step._Problem, "_improve", improve),
+        (contacts.ContactSet, "root_wrenches", onto), (tree, "robot_dynamics_terms", terms),
+        (free_bodies, "bias_wrench", bias),
+        (step._ImplicitStepProblem, "_improve", improve),
     )  # fmt: skip
     for owner, name, function in wrong:
         yield mock.patch.object(owner, name, function)

@@ -19,7 +19,7 @@ from sweep.manoeuvres.walking.walk import level_stance
 from sweep.models.case import Case
 from sweep.models.contact import Contact
 from sweep.models.obstacles.base import ObstacleDefaults
-from sweep.models.obstacles.surface import BodyPoses, FreeState, RollingResistance, Surface
+from sweep.models.obstacles.surface import BodyPoses, FreeBodyState, RollingResistance, Surface
 from sweep.models.posture import joint_targets
 from validity.scenes import BODIES, TOUCHES, UP, Body, History, Scene, Touch, rotate_vectors
 from validity.simulation import simulate
@@ -69,7 +69,7 @@ class Points(ObstacleDefaults):
         """Nothing that is drawn."""
         return ()
 
-    def external_wrench(self, free: FreeState) -> Float[Array, "k 6"]:
+    def external_wrench(self, free: FreeBodyState) -> Float[Array, "k 6"]:
         """The constant forces."""
         return jnp.concatenate([self.force, jnp.zeros_like(self.force)], axis=-1)
 

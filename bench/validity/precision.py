@@ -124,7 +124,7 @@ def _alone(case: Case, q: np.ndarray) -> points.Batch:
 
 
 def _mjcf(case: Case) -> Callable[[], mujoco.MjModel]:
-    return lambda: exported.make_spec(case, compose(["engine=native"]).settings).compile()
+    return lambda: exported.make_mujoco_spec(case, compose(["engine=native"]).settings).compile()
 
 
 def scene(of: Scene) -> Task:

@@ -177,7 +177,7 @@ def error(case: Case, row: Standing, force: Float[np.ndarray, "6 3"]) -> float:
 
 def by_native(case: Case, row: Standing) -> Float[np.ndarray, "6 3"]:
     """The same by C MuJoCo as the native engine has it."""
-    model = scene.native_model(case, 1e-3)
+    model = scene.compile_native_model(case, 1e-3)
     data = mujoco.MjData(model)
     data.qpos[:] = row.q
     kept, stiffness = [], float(case.drive.stiffness)
@@ -194,7 +194,7 @@ def by_mjx(case: Case, rows: Sequence[Standing], impl: str) -> Float[np.ndarray,
     with redirect_stdout(io.StringIO()):  # which it prints as it is imported
         from mujoco import mjx
 
-    spec = scene.native_spec(case, 1e-3)
+    spec = scene.build_native_spec(case, 1e-3)
     spec.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_ENERGY)
     for sensor in [*spec.sensors]:  # of contacts, which MJX does not add up
         spec.delete(sensor)

@@ -10,7 +10,7 @@ import numpy as np
 
 from sweep.backends import devices
 from sweep.dynamics import interface, tree
-from sweep.dynamics.step import PhysicsState, join_components, split_into_components, state_at_rest, step
+from sweep.dynamics.step import PhysicsState, pack_physics_state, state_at_rest, step, unpack_physics_state
 from sweep.engines import physics
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.fused import launch
@@ -63,16 +63,14 @@ def _stepping(
 ) -> tuple[Step, PhysicsState]:
     """A step of one world, and the batch at its start."""
     devices.configure_jax()
-    top = interface.topology(nominal)
+    top = interface.build_model_topology(nominal)
 
     def one(case: Case, state: PhysicsState, reference: jax.Array) -> tuple[PhysicsState, Record]:
-        limits = physics.execution_limits(case, jnp.int32(0), h)
+        limits = physics.drive_limits_at_step(case, jnp.int32(0), h)
         servo = position_command(case.drive, reference)
-        moving, report = step(
-            tree.tree_dynamics(case), case, limits, split_into_components(state), servo, h, iterations
-        )
+        moving, report = step(tree.tree_dynamics(case), case, limits, unpack_physics_state(state), servo, h, iterations)
         work = h * (jnp.sum(sum(report.power)) + report.external_power[0])  # pyright: ignore[reportArgumentType]
-        state, before = join_components(moving), report.start
+        state, before = pack_physics_state(moving), report.start
         return state, {
             "q": state.q,
             "v": state.v,
@@ -177,7 +175,7 @@ def _on_cpu(
     seconds = time.perf_counter() - start
 
     def advance() -> Record:
-        record = kernel.load_batch(given, states, len(states.q)).advance(0, ticks, kept)
+        record = kernel.load_batch(given, states, len(states.q)).advance_ticks(0, ticks, kept)
         assert record is not None
         return record
 

@@ -10,14 +10,14 @@ from sweep.study.columns import LABEL_COLUMNS, metric_columns
 from sweep.study.designs import Axis
 
 
-class AxisPairs(NamedTuple):
+class AxisEffectCheck(NamedTuple):
     """Whether rows that differ in one varied parameter alone are equal in all metrics, and how many such rows exist."""
 
     rollouts: int  # rows that have such a partner
     are_equal: bool  # whether partners are equal in all metrics and labels, to the last bit
 
 
-def compare_along_axes(rows: pd.DataFrame, exp: Experiment) -> dict[str, AxisPairs]:
+def check_axis_effects(rows: pd.DataFrame, exp: Experiment) -> dict[str, AxisEffectCheck]:
     """Test for each axis of a study whether rows that differ in this axis alone have equal metrics and labels.
 
     Args:
@@ -30,7 +30,7 @@ def compare_along_axes(rows: pd.DataFrame, exp: Experiment) -> dict[str, AxisPai
     if exp.study.points or exp.study.is_adaptive or rows.empty:
         return {}
     axes = [axis for axis in exp.study.axes if axis.column in rows]
-    draws = rows["replicate"].where(exp.system.find_random_rows(rows, exp.settings), 0)
+    draws = rows["replicate"].where(exp.system.find_stochastic_rows(rows, exp.settings), 0)
     groups = {axis.name: _group_along(axis, axes, rows, draws) for axis in axes}
     groups = {name: group for name, group in groups.items() if len(group)}
     if not groups:
@@ -38,7 +38,7 @@ def compare_along_axes(rows: pd.DataFrame, exp: Experiment) -> dict[str, AxisPai
     results = rows[[*metric_columns(rows), *(name for name in LABEL_COLUMNS if name in rows)]]
     measured = pd.Series(pd.util.hash_pandas_object(results, index=False).to_numpy())
     return {
-        name: AxisPairs(len(group), bool(measured[group.index].groupby(group).nunique().max() == 1))
+        name: AxisEffectCheck(len(group), bool(measured[group.index].groupby(group).nunique().max() == 1))
         for name, group in groups.items()
     }
 

@@ -46,7 +46,7 @@ class NestedBoxes:
         number = len(self.low) - int(threshold) - 1
         return {"names": names, "low": self.low[number].tolist(), "high": self.high[number].tolist()}
 
-    def condition(self, names: list[str], threshold: float) -> str:
+    def format_region_condition(self, names: list[str], threshold: float) -> str:
         """Write `score(x) <= threshold` as a condition on columns, in the syntax of `--where`."""
         number = len(self.low) - int(threshold) - 1
         ends = zip(names, self.low[number].tolist(), self.high[number].tolist(), strict=True)
@@ -74,7 +74,7 @@ class QuadraticLogOdds:
         numbers = {field.name: np.asarray(getattr(self, field.name)).tolist() for field in fields(self)}
         return {"names": names, "threshold": float(threshold), **numbers}
 
-    def condition(self, names: list[str], threshold: float) -> str:
+    def format_region_condition(self, names: list[str], threshold: float) -> str:
         """Write `score(x) <= threshold` as a condition on columns, in the syntax of `--where`."""
         z = [f"({name} - {_text(c)}) / {_text(s)}" for name, c, s in zip(names, self.centre, self.scale, strict=True)]
         terms = [f"{_text(w)} * {one}" for w, one in zip(self.linear, z, strict=True)]
@@ -168,7 +168,7 @@ def most_failures_that_certify(rows: ArrayLike, failures: float, confidence: flo
     return np.where(binom.cdf(guess, rows, failures) <= 1 - confidence, guess, guess - 1).astype(int)
 
 
-def fit_box(x: np.ndarray, failed: np.ndarray, least: float) -> NestedBoxes:
+def fit_nested_boxes(x: np.ndarray, failed: np.ndarray, least: float) -> NestedBoxes:
     """Learn nested boxes by the patient rule induction method (PRIM, Friedman and Fisher 1999).
 
     Each step removes the side with the largest failure rate among the draws it removes. Once no failure is left, it
@@ -260,7 +260,9 @@ def learn_region_score(shape: str, x: np.ndarray, failed: np.ndarray, least: flo
     Returns:
         A function of rows (n, d) to scores (n,); the smaller the score, the safer the row.
     """
-    return fit_box(x, failed, least) if shape == "box" else fit_log_odds(x, failed, convex=shape == "ellipsoid")
+    return (
+        fit_nested_boxes(x, failed, least) if shape == "box" else fit_log_odds(x, failed, convex=shape == "ellipsoid")
+    )
 
 
 def candidate_thresholds(
@@ -311,12 +313,12 @@ class Certificate:
         return bool(np.isfinite(self.threshold))
 
     @property
-    def draw_share(self) -> float:
+    def region_draw_share(self) -> float:
         """Share of all fresh draws that fall into the region."""
         return self.rows / self.fresh_draws
 
     @cached_property
-    def upper_bound(self) -> float:
+    def failure_probability_bound(self) -> float:
         """Upper confidence bound of the region's failure probability, from its own fresh rows."""
         return failure_upper_bound(self.failed, self.rows, self.confidence)
 

@@ -7,12 +7,12 @@ import pandas as pd
 
 from sweep.analysis import sampling_units
 from sweep.analysis.intervals import clopper_pearson
-from sweep.analysis.stats import format_percent, success_rates, sum_by_unit
+from sweep.analysis.stats import format_percent, success_rates, sum_by_independent_unit
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.core.expressions import find_column
 from sweep.study.columns import LABEL_COLUMNS, metric_columns
-from sweep.study.study import identity_columns
+from sweep.study.study import rollout_id_columns
 
 BINS_PER_AXIS = 3  # regions along an axis
 SECOND_RUN_MARK = " (B)"  # marks the columns of the second run
@@ -85,7 +85,7 @@ def pair_rows(a: pd.DataFrame, b: pd.DataFrame, by: list[str] | None = None) -> 
     """
     varied: list[str] = []
     if not by:
-        by = ["point_id"] if a["point_id"].is_unique else identity_columns(a.columns)
+        by = ["point_id"] if a["point_id"].is_unique else rollout_id_columns(a.columns)
         if not a["point_id"].isin(b["point_id"]).any() and _tell_apart(a, b, _varied(a, b)):
             by = varied = _varied(a, b)
     key = [find_column(a, name) for name in by]
@@ -125,7 +125,7 @@ def varied_axes(pairs: pd.DataFrame) -> list[str]:
     return [c for c in pairs.columns if "." in c and not c.endswith(SECOND_RUN_MARK)]
 
 
-def unit_numbers_of_pairs(pairs: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
+def pair_sampling_unit_ids(pairs: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
     """Return for each pair the number of the independent unit (a draw or replicate) that it belongs to; None if pairs
     are no random sample.
 
@@ -136,7 +136,9 @@ def unit_numbers_of_pairs(pairs: pd.DataFrame, exp: Experiment) -> np.ndarray | 
     Returns:
         Whole numbers (n,), equal for pairs that depend on each other; None for a grid.
     """
-    return sampling_units.pair_units(pairs[[c for c in pairs if not str(c).endswith(SECOND_RUN_MARK)]], exp)
+    return sampling_units.paired_comparison_unit_ids(
+        pairs[[c for c in pairs if not str(c).endswith(SECOND_RUN_MARK)]], exp
+    )
 
 
 def count_flips(pairs: pd.DataFrame, unit: np.ndarray | None = None) -> OutcomeFlips:
@@ -144,7 +146,7 @@ def count_flips(pairs: pd.DataFrame, unit: np.ndarray | None = None) -> OutcomeF
 
     Args:
         pairs: Pairs of rows (n), see `pair_rows`.
-        unit: Independent unit of each pair (n,), see `unit_numbers_of_pairs`; only pairs of different units are
+        unit: Independent unit of each pair (n,), see `pair_sampling_unit_ids`; only pairs of different units are
             independent. None if the pairs are not a random sample, such as those of a grid: no p-value then.
 
     Returns:
@@ -164,13 +166,13 @@ def count_flips(pairs: pd.DataFrame, unit: np.ndarray | None = None) -> OutcomeF
         return result
     outcome = np.where(lost | gained, "success", np.where(valid, "failure", "invalid"))  # a flip is what is counted
     ends = success_rates(pd.DataFrame({"outcome": outcome}), [], clopper_pearson, unit).iloc[0]
-    difference, _ = sum_by_unit(lost.astype(int) - gained.astype(int), unit)
+    difference, _ = sum_by_independent_unit(lost.astype(int) - gained.astype(int), unit)
     return replace(
-        result, p_value=sign_flip_p(difference.astype(int)), low=float(ends["low"]), high=float(ends["high"])
+        result, p_value=sign_flip_p_value(difference.astype(int)), low=float(ends["low"]), high=float(ends["high"])
     )
 
 
-def sign_flip_p(differences: np.ndarray) -> float:
+def sign_flip_p_value(differences: np.ndarray) -> float:
     """Return the exact two-sided p-value of a sum of independent integers, each as likely with either sign.
 
     With differences of -1, 0 and 1 it is McNemar's exact test.
@@ -191,7 +193,7 @@ def sign_flip_p(differences: np.ndarray) -> float:
     return float(min(law[np.abs(sums) >= abs(differences.sum())].sum(), 1.0))
 
 
-def outcome_changes(pairs: pd.DataFrame) -> np.ndarray:
+def outcome_change_mask(pairs: pd.DataFrame) -> np.ndarray:
     """Return which pairs (n,) have different outcomes in the two runs."""
     return (pairs["outcome"] != pairs[f"outcome{SECOND_RUN_MARK}"]).to_numpy()
 
@@ -257,7 +259,7 @@ def holm_adjust(p: np.ndarray) -> np.ndarray:
     return np.minimum(adjusted, 1.0)
 
 
-def cause_changes(pairs: pd.DataFrame) -> pd.DataFrame:
+def count_cause_transitions(pairs: pd.DataFrame) -> pd.DataFrame:
     """Count the pairs that went from one outcome or cause in A to another in B, the most frequent first."""
     first, second = (_verdict(pairs, mark) for mark in ("", SECOND_RUN_MARK))
     moved = pd.DataFrame({"A": first, "B": second})[(first != second).to_numpy()]
@@ -269,7 +271,7 @@ def _verdict(pairs: pd.DataFrame, mark: str) -> pd.Series:
     return outcome.where(outcome == "success", outcome + " (" + cause + ")")
 
 
-def metric_drift(pairs: pd.DataFrame) -> pd.Series:
+def relative_metric_changes(pairs: pd.DataFrame) -> pd.Series:
     """Return the typical relative change of each metric between the runs: the median of abs(B - A) over that of abs(A).
 
     Only pairs that are valid in both runs count. A metric that is typically 0 in both runs changes by 0, one that is
@@ -292,7 +294,7 @@ def metric_drift(pairs: pd.DataFrame) -> pd.Series:
 
 def changed_pairs(pairs: pd.DataFrame) -> pd.DataFrame:
     """Return the pairs that differ in outcome: their axes, and outcome, cause, stage and time in both runs."""
-    rows = pairs[outcome_changes(pairs)]
+    rows = pairs[outcome_change_mask(pairs)]
     return rows[
         ["point_id", *varied_axes(pairs), *(f"{c}{mark}" for c in LABEL_COLUMNS for mark in ("", SECOND_RUN_MARK))]
     ].reset_index(drop=True)

@@ -5,14 +5,14 @@ import pandas as pd
 
 from sweep.analysis import rare
 from sweep.analysis.sample import is_random_sample
-from sweep.analysis.sampling_units import condition_rates
+from sweep.analysis.sampling_units import success_rates_by_condition
 from sweep.analysis.stats import format_percent
 from sweep.config.experiment import Experiment
 from sweep.core.expressions import condition_mask
-from sweep.study.study import Expectation
+from sweep.study.study import RateExpectation
 
 
-def unmet_expectations(expectations: tuple[Expectation, ...], rows: pd.DataFrame, exp: Experiment) -> list[str]:
+def unmet_expectations(expectations: tuple[RateExpectation, ...], rows: pd.DataFrame, exp: Experiment) -> list[str]:
     """Return a line of text for each expectation (bound on the share of rows) that the rows of a study do not meet.
 
     Args:
@@ -26,7 +26,7 @@ def unmet_expectations(expectations: tuple[Expectation, ...], rows: pd.DataFrame
     return [line for line in judge_expectations(expectations, rows, exp) if line]
 
 
-def judge_expectations(expectations: tuple[Expectation, ...], rows: pd.DataFrame, exp: Experiment) -> list[str]:
+def judge_expectations(expectations: tuple[RateExpectation, ...], rows: pd.DataFrame, exp: Experiment) -> list[str]:
     """Compare the share of rows that meet each expectation's condition with its bounds; with intervals for random
     samples.
 
@@ -43,13 +43,13 @@ def judge_expectations(expectations: tuple[Expectation, ...], rows: pd.DataFrame
     """
     if not expectations:
         return []
-    weights = rare.weights_of_draws_and_failures(rows, exp)[0] if exp.study.is_adaptive else np.ones(len(rows))
+    weights = rare.draw_and_failure_weights(rows, exp)[0] if exp.study.is_adaptive else np.ones(len(rows))
     rows = rows.reset_index(drop=True)
     valid = rows[rows["outcome"] != "invalid"]
     return [_judge(one, valid, weights[valid.index], exp) for one in expectations]
 
 
-def _judge(expectation: Expectation, rows: pd.DataFrame, weights: np.ndarray, exp: Experiment) -> str:
+def _judge(expectation: RateExpectation, rows: pd.DataFrame, weights: np.ndarray, exp: Experiment) -> str:
     """Compare valid rows (n,) and their weights (n,) with an expectation."""
     chosen = condition_mask(rows, expectation.where)
     counted, weight = rows[chosen], weights[np.asarray(chosen, bool)]
@@ -71,5 +71,5 @@ def _interval(rows: pd.DataFrame, hit: np.ndarray, exp: Experiment) -> str:
     """Write the 95 % interval of a share; empty if the rows are not a random sample."""
     if len(rows) < 2 or not is_random_sample(rows, exp):
         return ""
-    rate = condition_rates(rows.assign(outcome=np.where(hit, "success", "failure")), exp, []).iloc[0]
+    rate = success_rates_by_condition(rows.assign(outcome=np.where(hit, "success", "failure")), exp, []).iloc[0]
     return f" (95 % interval {format_percent(rate['low'])} to {format_percent(rate['high'])})"

@@ -15,10 +15,10 @@ import pandas as pd
 from jaxtyping import Float
 
 from sweep.analysis.intervals import CONFIDENCE_LEVEL
-from sweep.analysis.rare import weights_of_draws_and_failures
-from sweep.analysis.sample import sample_indices
-from sweep.analysis.sampling_units import interval_units
-from sweep.analysis.sensitivity import drawn_axes, listed_axes
+from sweep.analysis.rare import draw_and_failure_weights
+from sweep.analysis.sample import random_subset_indices
+from sweep.analysis.sampling_units import confidence_interval_unit_ids
+from sweep.analysis.sensitivity import listed_value_axes, randomly_drawn_axes
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 
@@ -50,7 +50,7 @@ def shapley_failure_shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
         InputError: The rows are not random draws, there are too many axes or too few draws of either outcome, or no
             share exceeds its error.
     """
-    axes = [axis for axis in (*listed_axes(rows, exp), *drawn_axes(rows, exp)) if axis.along is None]
+    axes = [axis for axis in (*listed_value_axes(rows, exp), *randomly_drawn_axes(rows, exp)) if axis.along is None]
     plain_draws = exp.study.design.follows_distributions and exp.study.design.num > 0
     if not (exp.study.is_adaptive or plain_draws) or not 0 < len(axes) <= MAX_AXES:
         raise InputError(f"failure shares need random draws of 1 to {MAX_AXES} parameters")
@@ -58,7 +58,7 @@ def shapley_failure_shares(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     bad, good = (_chosen(weight) for weight in (failing, np.where(rows["outcome"] == "success", plain, 0.0)))
     used = np.concatenate([bad, good])
     # rows of one unit are no evidence of their likeness
-    unit = np.arange(len(used)) if exp.study.is_adaptive else interval_units(rows, exp)[used]
+    unit = np.arange(len(used)) if exp.study.is_adaptive else confidence_interval_unit_ids(rows, exp)[used]
     draws = [len(np.unique(part)) for part in np.split(unit, [len(bad)])]
     if min(draws) < MIN_DRAWS_PER_OUTCOME:
         raise InputError(
@@ -106,14 +106,14 @@ def _kernel(values: pd.Series, plain: np.ndarray, at: np.ndarray) -> Float[np.nd
 def _weighted(rows: pd.DataFrame, exp: Experiment) -> tuple[np.ndarray, np.ndarray]:
     """Return the weight of each row (n,) as a plain draw, and as a failure."""
     if exp.study.is_adaptive:
-        return weights_of_draws_and_failures(rows, exp)
+        return draw_and_failure_weights(rows, exp)
     return np.ones(len(rows)), (rows["outcome"] != "success").to_numpy(dtype=float)
 
 
 def _chosen(weight: np.ndarray) -> np.ndarray:
     """Return the places of at most `MAX_ROWS_PER_OUTCOME` rows with a positive weight."""
     places = np.flatnonzero(weight)
-    return places[sample_indices(len(places), MAX_ROWS_PER_OUTCOME)]
+    return places[random_subset_indices(len(places), MAX_ROWS_PER_OUTCOME)]
 
 
 def _quantiles(values: np.ndarray, weight: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,7 +8,9 @@ import pandas as pd
 TIME, POINT = "time_s", "point_id"
 
 
-def find_first_differences(a: pd.DataFrame, b: pd.DataFrame, columns: Sequence[str], share: float) -> pd.DataFrame:
+def find_time_series_differences(
+    a: pd.DataFrame, b: pd.DataFrame, columns: Sequence[str], share: float
+) -> pd.DataFrame:
     """Find for each rollout recorded in two folders the first sample and column at which the two recordings differ.
 
     Args:

@@ -12,17 +12,17 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
-from sweep.analysis.compare import holm_adjust, sign_flip_p
+from sweep.analysis.compare import holm_adjust, sign_flip_p_value
 from sweep.analysis.intervals import CONFIDENCE_LEVEL, clopper_pearson, korn_graubard_by_group
 from sweep.analysis.sequential import log_e_value
-from sweep.analysis.stats import sum_by_unit
+from sweep.analysis.stats import sum_by_independent_unit
 
 REPETITIONS = 2000  # of the bootstrap
 NOT_DECIDED = "not decided"
 
 
 @dataclass(frozen=True)
-class LeagueRows:
+class PairedPolicyOutcomes:
     """Outcomes of several policies on the same points; points that are invalid for a policy are left out."""
 
     policies: tuple[str, ...]
@@ -32,12 +32,12 @@ class LeagueRows:
     invalid: tuple[int, ...]  # points at which each policy is invalid
 
     @property
-    def unit_count(self) -> int:
+    def independent_unit_count(self) -> int:
         """Number of independent units (groups of dependent rows); 0 if the points are not a random sample."""
         return 0 if self.unit is None else len(np.unique(self.unit))
 
 
-def rate_table(league: LeagueRows, level: float = CONFIDENCE_LEVEL) -> pd.DataFrame:
+def policy_success_rates(league: PairedPolicyOutcomes, level: float = CONFIDENCE_LEVEL) -> pd.DataFrame:
     """Compute the success rate of each policy; with a random sample also intervals that hold together (Bonferroni).
 
     Args:
@@ -52,7 +52,7 @@ def rate_table(league: LeagueRows, level: float = CONFIDENCE_LEVEL) -> pd.DataFr
     table = pd.DataFrame({"policy": league.policies, "success": won, "valid": n, "share": won / max(n, 1)})
     if league.unit is None or not n:
         return table
-    sums, sizes = sum_by_unit(league.success, league.unit)
+    sums, sizes = sum_by_independent_unit(league.success, league.unit)
     own = 1 - (1 - level) / number
     if sizes.max() == 1:
         low, high = clopper_pearson(won, np.full(number, n), own)
@@ -87,7 +87,7 @@ def max_t_intervals(
     return mean - half, mean + half
 
 
-def pair_table(league: LeagueRows, level: float = CONFIDENCE_LEVEL) -> pd.DataFrame:
+def pairwise_test_table(league: PairedPolicyOutcomes, level: float = CONFIDENCE_LEVEL) -> pd.DataFrame:
     """Compare the success rates of each pair of policies by paired tests, corrected for the number of pairs.
 
     Args:
@@ -102,7 +102,7 @@ def pair_table(league: LeagueRows, level: float = CONFIDENCE_LEVEL) -> pd.DataFr
     table = _count_pairs(league)
     if league.unit is None or not len(league.success):
         return table.drop(columns="p")
-    low, high = max_t_intervals(_pair_changes(league) * (league.unit_count / len(league.success)), level)
+    low, high = max_t_intervals(_pair_changes(league) * (league.independent_unit_count / len(league.success)), level)
     p = holm_adjust(table.pop("p").to_numpy())
     return table.assign(low=low, high=high, p_holm=p, verdict=_verdicts(table, p, level))
 
@@ -112,22 +112,22 @@ def _pair_places(policies: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
     return np.triu_indices(len(policies), 1)
 
 
-def _pair_changes(league: LeagueRows) -> np.ndarray:
+def _pair_changes(league: PairedPolicyOutcomes) -> np.ndarray:
     """Return the successes of the first minus those of the second policy, (units, pairs)."""
     assert league.unit is not None
-    sums, _ = sum_by_unit(league.success, league.unit)
+    sums, _ = sum_by_independent_unit(league.success, league.unit)
     first, second = _pair_places(league.policies)
     return (sums[:, first] - sums[:, second]).astype(int)
 
 
-def _count_pairs(league: LeagueRows) -> pd.DataFrame:
+def _count_pairs(league: PairedPolicyOutcomes) -> pd.DataFrame:
     """Return the counts of each pair with the p-value of its own test; NaN if the points are no random sample."""
     success = league.success.astype(int)
     first, second = _pair_places(league.policies)
     change = success[:, first] - success[:, second]  # (n, pairs)
     p = np.full(len(first), np.nan)
     if league.unit is not None and len(success):
-        p = np.array([sign_flip_p(one) for one in _pair_changes(league).T])
+        p = np.array([sign_flip_p_value(one) for one in _pair_changes(league).T])
     return pd.DataFrame(
         {
             "a": [league.policies[k] for k in first],
@@ -145,7 +145,7 @@ def _verdicts(table: pd.DataFrame, p_holm: np.ndarray, level: float) -> list[str
     return [str(one) if p <= 1 - level else NOT_DECIDED for one, p in zip(better, p_holm, strict=True)]
 
 
-def better_matrix(pairs: pd.DataFrame, policies: Sequence[str]) -> np.ndarray:
+def decided_win_matrix(pairs: pd.DataFrame, policies: Sequence[str]) -> np.ndarray:
     """Return a matrix (policies, policies): True where the policy of the row is decided to beat that of the column.
 
     Args:
@@ -164,8 +164,8 @@ def standings(rates: pd.DataFrame, better: np.ndarray) -> pd.DataFrame:
     """Sort policies by success rate, and add the ranks that the verdicts on pairs allow each policy.
 
     Args:
-        rates: Table of `rate_table`.
-        better: Which policies are better than which (policies, policies), see `better_matrix`.
+        rates: Table of `policy_success_rates`.
+        better: Which policies are better than which (policies, policies), see `decided_win_matrix`.
 
     Returns:
         The sorted table with `places`, such as `1 to 2`, and the numbers of policies that it `beats`, and is
@@ -179,7 +179,9 @@ def standings(rates: pd.DataFrame, better: np.ndarray) -> pd.DataFrame:
     return table.sort_values("share", ascending=False, kind="stable").reset_index(drop=True)
 
 
-def condition_table(league: LeagueRows, by: Sequence[str], level: float = CONFIDENCE_LEVEL) -> pd.DataFrame:
+def policy_success_rates_by_condition(
+    league: PairedPolicyOutcomes, by: Sequence[str], level: float = CONFIDENCE_LEVEL
+) -> pd.DataFrame:
     """Compute the success rate of each policy at each condition, and which policies may be the best one there.
 
     Args:
@@ -194,7 +196,7 @@ def condition_table(league: LeagueRows, by: Sequence[str], level: float = CONFID
     lines, counts = [], []
     for values, places in league.conditions.groupby(list(by), observed=True).indices.items():
         unit = None if league.unit is None else league.unit[places]
-        part = LeagueRows(league.policies, league.success[places], unit, league.conditions.iloc[places], ())
+        part = PairedPolicyOutcomes(league.policies, league.success[places], unit, league.conditions.iloc[places], ())
         counts.append(_count_pairs(part))
         rates = dict(zip(league.policies, part.success.mean(axis=0), strict=True))
         named = values if isinstance(values, tuple) else (values,)
@@ -207,14 +209,14 @@ def condition_table(league: LeagueRows, by: Sequence[str], level: float = CONFID
     best = []
     for number, line in enumerate(lines):
         pairs = every.iloc[number * len(counts[0]) : (number + 1) * len(counts[0])]
-        beaten = better_matrix(pairs, league.policies).any(axis=0)
+        beaten = decided_win_matrix(pairs, league.policies).any(axis=0)
         left = [name for name, lost in zip(league.policies, beaten, strict=True) if not lost]
         best.append(", ".join(sorted(left, key=lambda name, line=line: -line[name])))
     return table.assign(best=best)
 
 
 @dataclass
-class Race:
+class PolicyRace:
     """A sequential comparison of several policies, whose verdicts hold whenever one looks or stops.
 
     Each pair has the e-process of `sequential.log_e_value` over the units that both policies have. Pairs are decided by
@@ -235,7 +237,7 @@ class Race:
         self.only, self.evidence = np.zeros(shape), np.zeros(shape)
         self.better = np.zeros(shape, bool)
 
-    def add_units(self, shares: np.ndarray) -> None:
+    def add_unit_success_rates(self, shares: np.ndarray) -> None:
         """Add the success rates of independent units (groups of dependent rows), and decide pairs of policies.
 
         Args:

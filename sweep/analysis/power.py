@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sweep.analysis.certify import most_failures_that_certify
-from sweep.analysis.compare import sign_flip_p
+from sweep.analysis.compare import sign_flip_p_value
 from sweep.analysis.intervals import (
     CONFIDENCE_LEVEL,
     MIN_UNITS_FOR_VARIANCE,
@@ -20,9 +20,9 @@ from sweep.analysis.intervals import (
     korn_graubard,
     wilson,
 )
-from sweep.analysis.sampling_units import has_draws, independent_unit
+from sweep.analysis.sampling_units import has_random_draws, independent_unit
 from sweep.analysis.sequential import TEST_POWER, log_e_value
-from sweep.analysis.stats import format_percent, sum_by_unit
+from sweep.analysis.stats import format_percent, sum_by_independent_unit
 from sweep.core.errors import InputError
 from sweep.study.designs import drawn_axis_names
 from sweep.study.study import Study
@@ -37,14 +37,14 @@ DRY_RUN_RATES = (0.5, 0.9, 0.99)  # success rates for which `sweep run --dry-run
 IntervalFunction = Callable[[ArrayLike, ArrayLike, float], Interval]
 
 
-class CountLaw(NamedTuple):
+class SuccessCountDistribution(NamedTuple):
     """Possible numbers of successes with their probabilities, without extremely improbable numbers."""
 
     counts: np.ndarray  # (k,), consecutive whole numbers
     probability: np.ndarray  # (k,)
 
 
-def binomial_law(trials: int, probability: float) -> CountLaw:
+def truncated_binomial_distribution(trials: int, probability: float) -> SuccessCountDistribution:
     """Return the binomial distribution of the number of successes, without its outermost tails.
 
     Args:
@@ -55,10 +55,10 @@ def binomial_law(trials: int, probability: float) -> CountLaw:
 
     low, high = (int(binom.ppf(q, trials, probability)) for q in (TAIL, 1 - TAIL))
     counts = np.arange(max(low, 0), min(high, trials) + 1)
-    return CountLaw(counts, binom.pmf(counts, trials, probability))
+    return SuccessCountDistribution(counts, binom.pmf(counts, trials, probability))
 
 
-def find_smallest_size(meets_goal: Callable[[int], bool], start: int = 1, checked: int = CHECKED_SIZES) -> int:
+def find_smallest_sample_size(meets_goal: Callable[[int], bool], start: int = 1, checked: int = CHECKED_SIZES) -> int:
     """Find the smallest size of a study that meets a goal and above which every size meets it.
 
     The search doubles and bisects. It then passes over sizes whose successors miss the goal again.
@@ -90,7 +90,7 @@ def find_smallest_size(meets_goal: Callable[[int], bool], start: int = 1, checke
     return size
 
 
-def half_width_law(
+def half_width_distribution(
     trials: int, rate: float, interval: IntervalFunction, level: float = CONFIDENCE_LEVEL
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the possible half-widths of the confidence interval of a success rate, with their probabilities.
@@ -104,7 +104,7 @@ def half_width_law(
     Returns:
         Half-widths (k,) and probabilities (k,) of the possible numbers of successes, without those in the tails.
     """
-    counts, probability = binomial_law(trials, rate)
+    counts, probability = truncated_binomial_distribution(trials, rate)
     low, high = interval(counts, np.full(len(counts), trials), level)
     return (high - low) / 2, probability
 
@@ -120,7 +120,7 @@ def expected_half_width(
         interval: Function of successes, trials and level to the interval.
         level: Confidence level.
     """
-    widths, probability = half_width_law(trials, rate, interval, level)
+    widths, probability = half_width_distribution(trials, rate, interval, level)
     return float(np.average(widths, weights=probability))
 
 
@@ -142,13 +142,13 @@ def rollouts_for_half_width(
     """
 
     def meets_goal(trials: int) -> bool:
-        widths, probability = half_width_law(trials, rate, interval, level)
+        widths, probability = half_width_distribution(trials, rate, interval, level)
         return bool(probability[widths <= half_width].sum() >= power)
 
-    return find_smallest_size(meets_goal)
+    return find_smallest_sample_size(meets_goal)
 
 
-def discordant_shares(a: float, b: float, correlation: float) -> tuple[float, float]:
+def discordant_pair_shares(a: float, b: float, correlation: float) -> tuple[float, float]:
     """Return the shares of pairs of rollouts in which only policy A, and only policy B, succeeds.
 
     Args:
@@ -182,7 +182,7 @@ def mcnemar_power(pairs: int, lost: float, gained: float, level: float = CONFIDE
     """
     from scipy.stats import binom
 
-    flips, probability = binomial_law(pairs, lost + gained)
+    flips, probability = truncated_binomial_distribution(pairs, lost + gained)
     most = binom.ppf((1 - level) / 2, flips, 0.5)  # of the rarer direction: none at -1
     most = np.where(2 * binom.cdf(most, flips, 0.5) <= 1 - level, most, most - 1)
     share = lost / (lost + gained) if lost + gained else 0.5
@@ -190,7 +190,7 @@ def mcnemar_power(pairs: int, lost: float, gained: float, level: float = CONFIDE
     return float((probability * rejected).sum())
 
 
-def unpaired_power(rollouts: int, a: float, b: float, level: float = CONFIDENCE_LEVEL) -> float:
+def unpaired_test_power(rollouts: int, a: float, b: float, level: float = CONFIDENCE_LEVEL) -> float:
     """Return the power of the two-sided score test of equal success rates, for independent rollouts of A and B.
 
     The test compares the difference of the rates with its standard error at the pooled rate.
@@ -207,7 +207,7 @@ def unpaired_power(rollouts: int, a: float, b: float, level: float = CONFIDENCE_
         own = np.sqrt((a * (1 - a) + b * (1 - b)) / rollouts)
         null = np.sqrt((a + b) * (1 - (a + b) / 2) / rollouts)
         return float(ndtr((abs(a - b) - ndtri(0.5 + level / 2) * null) / own))
-    (first, p), (second, q) = binomial_law(rollouts, a), binomial_law(rollouts, b)
+    (first, p), (second, q) = truncated_binomial_distribution(rollouts, a), truncated_binomial_distribution(rollouts, b)
     pooled = (first[:, None] + second) / (2 * rollouts)
     error = np.sqrt(2 * pooled * (1 - pooled) / rollouts)
     rejected = np.abs(first[:, None] - second) / rollouts > ndtri(0.5 + level / 2) * error
@@ -254,12 +254,12 @@ def certification_power(draws: int, share: float, rate: float, failures: float, 
     """
     from scipy.stats import binom
 
-    inside, probability = binomial_law(draws, share)
+    inside, probability = truncated_binomial_distribution(draws, share)
     allowed = most_failures_that_certify(inside, failures, confidence)
     return float((probability * np.where(allowed < 0, 0.0, binom.cdf(allowed, inside, rate))).sum())
 
 
-class UnitCounts(NamedTuple):
+class UnitSuccessCounts(NamedTuple):
     """Successes and rollouts of each independent unit (group of dependent rows) of a small first study."""
 
     won: np.ndarray  # (u,)
@@ -267,7 +267,7 @@ class UnitCounts(NamedTuple):
     is_even: bool  # whether the design spreads the draws of a unit evenly
 
 
-def count_units(success: np.ndarray, unit: np.ndarray, is_even: bool) -> UnitCounts:
+def count_unit_successes(success: np.ndarray, unit: np.ndarray, is_even: bool) -> UnitSuccessCounts:
     """Count the successes and the rows of each independent unit (group of dependent rows).
 
     Args:
@@ -275,11 +275,11 @@ def count_units(success: np.ndarray, unit: np.ndarray, is_even: bool) -> UnitCou
         unit: Its independent unit (n,), see `sampling_units.unit_numbers`.
         is_even: Whether the design spreads the draws of a unit evenly.
     """
-    return UnitCounts(*sum_by_unit(success, unit), is_even)
+    return UnitSuccessCounts(*sum_by_independent_unit(success, unit), is_even)
 
 
 def simulated_half_widths(
-    pilot: UnitCounts, units: int, level: float = CONFIDENCE_LEVEL, repetitions: int = REPETITIONS
+    pilot: UnitSuccessCounts, units: int, level: float = CONFIDENCE_LEVEL, repetitions: int = REPETITIONS
 ) -> np.ndarray:
     """Simulate half-widths of the interval of a success rate by resampling the units of a small pilot study.
 
@@ -317,7 +317,7 @@ def simulated_half_widths(
 
 
 def units_for_half_width(
-    pilot: UnitCounts, half_width: float, power: float = TEST_POWER, level: float = CONFIDENCE_LEVEL
+    pilot: UnitSuccessCounts, half_width: float, power: float = TEST_POWER, level: float = CONFIDENCE_LEVEL
 ) -> int:
     """Return how many independent units narrow a success rate's interval enough in a share `power` of simulations.
 
@@ -336,7 +336,7 @@ def units_for_half_width(
             f"--pilot has {len(share)} independent units: at least {MIN_UNITS_FOR_VARIANCE} that do not all end alike"
         )
     start = MIN_UNITS_FOR_VARIANCE
-    return find_smallest_size(
+    return find_smallest_sample_size(
         lambda units: bool(np.mean(simulated_half_widths(pilot, units, level) <= half_width) >= power), start, checked=0
     )
 
@@ -359,7 +359,7 @@ def simulated_sign_flip_power(
 
         lost, gained = (drawn > 0).sum(axis=1), (drawn < 0).sum(axis=1)
         return float(np.mean(2 * binom.cdf(np.minimum(lost, gained), lost + gained, 0.5) <= 1 - level))
-    return float(np.mean([sign_flip_p(one) <= 1 - level for one in drawn]))
+    return float(np.mean([sign_flip_p_value(one) <= 1 - level for one in drawn]))
 
 
 def describe_expected_half_width(study: Study) -> str:
@@ -369,9 +369,9 @@ def describe_expected_half_width(study: Study) -> str:
     gives both extremes.
     """
     unit = independent_unit(study)
-    if unit.name == "none" or study.is_sequential or (has_draws(study) and not study.design.gives_rate):
+    if unit.name == "none" or study.is_sequential or (has_random_draws(study) and not study.design.gives_rate):
         return ""
-    is_drawn = has_draws(study)
+    is_drawn = has_random_draws(study)
     draws = study.design.count_draws(len(drawn_axis_names(study.axes))) if is_drawn else study.replicates
     rows = draws * study.replicates if is_drawn else draws
     texts = []

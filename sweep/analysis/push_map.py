@@ -12,8 +12,8 @@ import pandas as pd
 
 from sweep.analysis import sensitivity
 from sweep.analysis.compare import holm_adjust
-from sweep.analysis.sampling_units import interval_units, unit_numbers
-from sweep.analysis.stats import bin_values, sum_by_unit
+from sweep.analysis.sampling_units import confidence_interval_unit_ids, unit_numbers
+from sweep.analysis.stats import bin_values, sum_by_independent_unit
 from sweep.config.experiment import Experiment
 from sweep.contract.system import split_side_prefix
 from sweep.core.constants import CONFIDENCE_LEVEL
@@ -248,7 +248,7 @@ def count_by_size(size: Sequence[float] | np.ndarray, success: np.ndarray, unit:
         if codes.max(initial=-1) + 1 < len(codes):
             outcomes = np.full((codes.max() + 1, len(sizes)), np.nan)
             outcomes[codes, at] = success
-    won, trials = sum_by_unit(success.astype(float), at)
+    won, trials = sum_by_independent_unit(success.astype(float), at)
     return SizeCounts(sizes, trials, won.astype(int), outcomes)
 
 
@@ -267,7 +267,7 @@ def select_push_rows(rows: pd.DataFrame, exp: Experiment) -> "tuple[PushRows, st
         size and direction, or if the design does not combine them.
     """
     study = exp.study
-    if study.is_sequential or study.points or study.design.varies_axes_alone:
+    if study.is_sequential or study.points or study.design.is_one_at_a_time:
         return None
     rows = rows[rows["outcome"] != "invalid"]
     by_path = {split_side_prefix(c)[1]: c for c in parameter_columns(rows) if has_several_values(rows[c])}
@@ -277,7 +277,7 @@ def select_push_rows(rows: pd.DataFrame, exp: Experiment) -> "tuple[PushRows, st
             break
     else:
         return None
-    listed = [axis.column for axis in sensitivity.listed_axes(rows, exp)]
+    listed = [axis.column for axis in sensitivity.listed_value_axes(rows, exp)]
     own = [by_path[path] for path in (push.direction, push.start, push.body) if path in by_path]
     names = [*own, *(c for c in listed if c not in (*own, size))]
     most = {c: MAX_DIRECTION_BINS if c == own[0] else MAX_OTHER_BINS for c in names}
@@ -287,6 +287,6 @@ def select_push_rows(rows: pd.DataFrame, exp: Experiment) -> "tuple[PushRows, st
     is_binned = size not in listed and count_distinct(rows[size], bins) > bins
     sizes = bin_values(rows[size], bins) if is_binned else rows[size]
     width = float(rows[size].max() - rows[size].min()) / bins if is_binned else 0.0
-    unit = None if unit_numbers(rows, exp) is None else interval_units(rows, exp)
+    unit = None if unit_numbers(rows, exp) is None else confidence_interval_unit_ids(rows, exp)
     success = (rows["outcome"] == "success").to_numpy()
     return PushRows(conditions, sizes.to_numpy(float), width, success, unit), size

@@ -24,7 +24,7 @@ def estimate_failure_probability(rows: pd.DataFrame, exp: Experiment) -> Failure
     Raises:
         InputError: The search is not finished.
     """
-    return exp.study.search_design.estimate_failure(rows, exp.study.draw_context)
+    return exp.study.adaptive_design.estimate_failure(rows, exp.study.draw_context)
 
 
 def failure_modes(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
@@ -67,7 +67,7 @@ def list_failure_modes(rows: pd.DataFrame, exp: Experiment) -> list[FailureMode]
         exp: Its experiment.
     """
     axes = [axis for axis in exp.study.axes if pd.api.types.is_numeric_dtype(rows[axis.column])]
-    x, (plain, failing) = rows[[axis.column for axis in axes]].to_numpy(float), weights_of_draws_and_failures(rows, exp)
+    x, (plain, failing) = rows[[axis.column for axis in axes]].to_numpy(float), draw_and_failure_weights(rows, exp)
     here = np.flatnonzero(failing > 0)
     if not len(here):
         return []
@@ -75,7 +75,7 @@ def list_failure_modes(rows: pd.DataFrame, exp: Experiment) -> list[FailureMode]
     spread = np.sqrt(np.average((x - middle) ** 2, axis=0, weights=plain))
     away, failing = (x[here] - middle) / np.where(spread, spread, 1.0), failing[here] / failing.sum()
     parts = importance_sampling.fit_mixture(away, failing)
-    mode = importance_sampling.assign_modes(parts)[parts.log_density(away).argmax(axis=1)]
+    mode = importance_sampling.assign_components_to_modes(parts)[parts.log_density(away).argmax(axis=1)]
     cause, found = rows["cause"].iloc[here].to_numpy(), []
     for one in np.unique(mode):
         members = mode == one
@@ -88,7 +88,7 @@ def list_failure_modes(rows: pd.DataFrame, exp: Experiment) -> list[FailureMode]
     return sorted(found, key=lambda one: one.shares.sum(), reverse=True)
 
 
-def weights_of_draws_and_failures(rows: pd.DataFrame, exp: Experiment) -> tuple[np.ndarray, np.ndarray]:
+def draw_and_failure_weights(rows: pd.DataFrame, exp: Experiment) -> tuple[np.ndarray, np.ndarray]:
     """Return the weights (n,) of rows as draws of the nominal distribution, and those of failures in their probability.
 
     The weights of failures sum to the failure probability, up to a factor.
@@ -97,4 +97,4 @@ def weights_of_draws_and_failures(rows: pd.DataFrame, exp: Experiment) -> tuple[
         rows: All rows of an adaptive study (n).
         exp: Its experiment.
     """
-    return exp.study.search_design.weigh_rows(rows, exp.study.draw_context)
+    return exp.study.adaptive_design.weigh_rows(rows, exp.study.draw_context)

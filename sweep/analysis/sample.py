@@ -7,13 +7,13 @@ import numpy as np
 import pandas as pd
 
 from sweep.analysis import sensitivity
-from sweep.analysis.sampling_units import condition_rates
+from sweep.analysis.sampling_units import success_rates_by_condition
 from sweep.analysis.stats import SuccessRate, success_rate
 from sweep.config.experiment import Experiment
 from sweep.study.study import parameter_columns
 
 
-def sample_indices(number: int, most: int) -> np.ndarray:
+def random_subset_indices(number: int, most: int) -> np.ndarray:
     """Choose at most `most` indices of `number` items at random with a fixed seed; sorted.
 
     Args:
@@ -42,7 +42,7 @@ def drop_repeated_rollouts(rows: pd.DataFrame, exp: Experiment) -> tuple[pd.Data
     if exp.study.replicates < 2:
         return rows, ""
     points = rows[parameter_columns(rows)].assign(draw=rows["replicate"] // exp.study.replicates)
-    again = points.duplicated().to_numpy() & ~exp.system.find_random_rows(rows, exp.settings)
+    again = points.duplicated().to_numpy() & ~exp.system.find_stochastic_rows(rows, exp.settings)
     if not again.any():
         return rows, ""
     number = int(again.sum())
@@ -63,10 +63,10 @@ def is_random_sample(rows: pd.DataFrame, exp: Experiment, condition_columns: Col
         return False
     if exp.study.points:
         return all(c in condition_columns or rows[c].nunique() == 1 for c in parameter_columns(rows))
-    return all(axis.column in condition_columns for axis in sensitivity.listed_axes(rows, exp))
+    return all(axis.column in condition_columns for axis in sensitivity.listed_value_axes(rows, exp))
 
 
-def pooled_rate(rows: pd.DataFrame, exp: Experiment) -> SuccessRate:
+def pooled_success_rate(rows: pd.DataFrame, exp: Experiment) -> SuccessRate:
     """Compute the success rate of all rows together, with an interval only if they are a random sample.
 
     Args:
@@ -76,6 +76,6 @@ def pooled_rate(rows: pd.DataFrame, exp: Experiment) -> SuccessRate:
     result = success_rate(rows["outcome"])
     ends = (np.nan, np.nan)
     if result.valid_count and is_random_sample(rows, exp):
-        one = condition_rates(rows, exp, []).iloc[0]
+        one = success_rates_by_condition(rows, exp, []).iloc[0]
         ends = float(one["low"]), float(one["high"])
     return dataclasses.replace(result, low=ends[0], high=ends[1])

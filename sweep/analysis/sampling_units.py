@@ -23,7 +23,7 @@ REPLICATE = SamplingUnit("replicate")  # of a grid: its noise is the same at eve
 NO_UNIT = SamplingUnit("none")  # of a grid without noise
 
 
-def has_draws(study: Study) -> bool:
+def has_random_draws(study: Study) -> bool:
     """Return whether the points of a study are drawn at random by its design, rather than taken from a grid or a
     file."""
     return study.design.num > 0 and not study.points
@@ -31,7 +31,7 @@ def has_draws(study: Study) -> bool:
 
 def independent_unit(study: Study) -> SamplingUnit:
     """Return what counts as one independent observation of a study: the sampling unit of its design, or a replicate."""
-    if has_draws(study):
+    if has_random_draws(study):
         return study.design.sampling_unit
     return REPLICATE if study.replicates > 1 else NO_UNIT
 
@@ -47,7 +47,7 @@ def draw_ids(rows: pd.DataFrame, exp: Experiment) -> np.ndarray:
     Returns:
         Whole numbers (n,), the same for rows of one draw at every grid point.
     """
-    return rows["replicate"].to_numpy() // (exp.study.replicates if has_draws(exp.study) else 1)
+    return rows["replicate"].to_numpy() // (exp.study.replicates if has_random_draws(exp.study) else 1)
 
 
 def unit_numbers(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
@@ -63,7 +63,7 @@ def unit_numbers(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
         draws, which were placed where earlier ones failed.
     """
     study, draws = exp.study, draw_ids(rows, exp)
-    if has_draws(study):
+    if has_random_draws(study):
         return study.design.unit_numbers(draws, len(drawn_axis_names(study.axes)))
     return draws if study.replicates > 1 else None
 
@@ -75,12 +75,12 @@ def has_dependent_draws(study: Study) -> bool:
     unit is a plain sample.
     """
     design, d = study.design, len(drawn_axis_names(study.axes))
-    if not has_draws(study) or design.sampling_unit.is_even:
+    if not has_random_draws(study) or design.sampling_unit.is_even:
         return False
     return bool(design.select_rate_draws(np.arange(design.block_size(d)), d).sum() > 1)
 
 
-def interval_units(rows: pd.DataFrame, exp: Experiment) -> np.ndarray:
+def confidence_interval_unit_ids(rows: pd.DataFrame, exp: Experiment) -> np.ndarray:
     """Return for each row (n,) the number of the group of rows that confidence intervals treat as one observation.
 
     Args:
@@ -95,7 +95,7 @@ def interval_units(rows: pd.DataFrame, exp: Experiment) -> np.ndarray:
     return draw_ids(rows, exp) if units is None else units
 
 
-def pair_units(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
+def paired_comparison_unit_ids(rows: pd.DataFrame, exp: Experiment) -> np.ndarray | None:
     """Return for each row the number of the independent unit that it belongs to when two runs of the same rows are
     compared.
 
@@ -129,23 +129,23 @@ def has_independent_rows(rows: pd.DataFrame, exp: Experiment) -> bool:
     if independent_unit(study) == REPLICATE:
         plain = not any(has_several_values(rows[c]) for c in parameter_columns(rows))
     else:
-        plain = study.design.follows_distributions and has_draws(study)
+        plain = study.design.follows_distributions and has_random_draws(study)
     return plain and not study.is_refined and are_all_different(draw_ids(rows, exp))
 
 
 def interval_method(study: Study) -> str:
     """Return the name of the method that computes the intervals of a study's success rates, for captions."""
     unit = independent_unit(study)
-    return f"Student's t over {unit.plural}" if unit.is_even and not study.budget else draw_interval_method(study)
+    return f"Student's t over {unit.plural}" if unit.is_even and not study.budget else interval_method_by_draw(study)
 
 
-def draw_interval_method(study: Study) -> str:
+def interval_method_by_draw(study: Study) -> str:
     """Return the name of the interval method for success rates whose rows are grouped by draw, for captions."""
     if study.budget:
         return "confidence sequence"
     if has_dependent_draws(study):
         return f"Korn-Graubard, by {study.design.sampling_unit.name}"
-    return "Korn-Graubard, by draw" if study.replicates > 1 and has_draws(study) else "Wilson"
+    return "Korn-Graubard, by draw" if study.replicates > 1 and has_random_draws(study) else "Wilson"
 
 
 def describe_sample_size(rows: pd.DataFrame, exp: Experiment) -> str:
@@ -165,7 +165,7 @@ def describe_sample_size(rows: pd.DataFrame, exp: Experiment) -> str:
     return f"{number:,} {unit.plural}, spread more evenly than independent ones"
 
 
-def condition_rates(
+def success_rates_by_condition(
     rows: pd.DataFrame,
     exp: Experiment,
     by: list[str],
@@ -184,7 +184,7 @@ def condition_rates(
         the draws of a unit evenly, it is Student's t interval of the units' rates, or that of independent draws if all
         rates are equal. Else see `stats.success_rates`.
     """
-    study, units = exp.study, interval_units(rows, exp)
+    study, units = exp.study, confidence_interval_unit_ids(rows, exp)
     if study.budget:
         return success_rates(rows, by, confidence_sequence, units)
     table = success_rates(rows, by, interval, units)

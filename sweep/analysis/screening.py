@@ -9,10 +9,10 @@ from sweep.analysis.sampling_units import draw_ids, has_dependent_draws
 from sweep.analysis.sensitivity import (
     MIN_RARER_OUTCOMES,
     count_rarer_outcome,
-    drawn_axes,
-    listed_axes,
+    listed_value_axes,
     numeric_axes,
-    sensitivity_response,
+    randomly_drawn_axes,
+    success_or_metric_values,
 )
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
@@ -108,7 +108,7 @@ def _sample(
     rows: pd.DataFrame, exp: Experiment, figure: str | None, what: str
 ) -> tuple[list[str], np.ndarray, np.ndarray]:
     """Return the drawn axes, their values (n, d) and the outcome or metric (n,) of valid draws."""
-    names = [axis.column for axis in numeric_axes(rows, drawn_axes(rows, exp))]
+    names = [axis.column for axis in numeric_axes(rows, randomly_drawn_axes(rows, exp))]
     if not exp.study.design.follows_distributions or not names:
         kinds = design_kinds.list_kinds(lambda kind: kind.follows_distributions)
         raise InputError(f"{what} a study with draws of design.kind = {', '.join(kinds)}")
@@ -117,9 +117,9 @@ def _sample(
             f"{what} draws that do not depend on each other, unlike those of a unit of design.kind = "
             f"{exp.study.design.kind}"
         )
-    if conditions := listed_axes(rows, exp):
+    if conditions := listed_value_axes(rows, exp):
         raise InputError(f"{what} one grid point: choose among {', '.join(a.column for a in conditions)}")
-    value = sensitivity_response(rows, figure)
+    value = success_or_metric_values(rows, figure)
     if exp.study.replicates > 1:  # a draw counts once, by the mean of its valid replicates
         draws = draw_ids(rows, exp)
         value = value.groupby(draws).transform("mean")[~pd.Series(draws).duplicated().to_numpy()]

@@ -15,14 +15,19 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from sweep.analysis.intervals import CONFIDENCE_LEVEL, Interval, clopper_pearson, student_interval
-from sweep.analysis.sampling_units import condition_rates, draw_ids, has_dependent_draws, interval_units
+from sweep.analysis.sampling_units import (
+    confidence_interval_unit_ids,
+    draw_ids,
+    has_dependent_draws,
+    success_rates_by_condition,
+)
 from sweep.analysis.stats import success_rates
 from sweep.config.experiment import Experiment
 from sweep.core.distinct_values import are_all_different, has_several_values
 from sweep.core.errors import InputError
 from sweep.core.expressions import find_column
 from sweep.study import design_kinds
-from sweep.study.design_kinds.base import Sensitivity
+from sweep.study.design_kinds.base import SensitivityMethod
 from sweep.study.designs import Axis, draw_quantiles, drawn_axis_names
 
 PERMUTATION_RANGE, MAX_PERMUTED_NUMBERS = (
@@ -37,7 +42,7 @@ MIN_PATHS = 20  # trajectories below which the errors of a metric's effects do n
 MIN_TRIALS_PER_VALUE = 10  # at every value, for a test of how well a fit follows the rates
 
 
-def listed_axes(rows: pd.DataFrame, exp: Experiment) -> list[Axis]:
+def listed_value_axes(rows: pd.DataFrame, exp: Experiment) -> list[Axis]:
     """Return the study axes whose values are listed (not drawn) and that vary in the rows.
 
     Args:
@@ -47,7 +52,7 @@ def listed_axes(rows: pd.DataFrame, exp: Experiment) -> list[Axis]:
     return [a for a in exp.study.axes if a.values is not None and _varies(rows, a)]
 
 
-def drawn_axes(rows: pd.DataFrame, exp: Experiment) -> list[Axis]:
+def randomly_drawn_axes(rows: pd.DataFrame, exp: Experiment) -> list[Axis]:
     """Return the study axes whose values are drawn from a distribution and that vary in the rows.
 
     Args:
@@ -74,7 +79,8 @@ def numeric_axes(rows: pd.DataFrame, axes: list[Axis]) -> list[Axis]:
 def success_volume(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     """Estimate the share of the random draws that succeed at each combination of listed values, with its 95 % interval.
 
-    The interval is that of `sampling_units.condition_rates`, and Clopper and Pearson's if draws are independent.
+    The interval is that of `sampling_units.success_rates_by_condition`, and Clopper and Pearson's if draws are
+    independent.
 
     Args:
         rows: Rows of a study with draws; only those that its design counts as a plain sample are used.
@@ -84,11 +90,11 @@ def success_volume(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
         The table of `stats.success_rates`: a row for each condition.
     """
     rows = rows[exp.study.design.select_rate_draws(draw_ids(rows, exp), len(drawn_axis_names(exp.study.axes)))]
-    return condition_rates(rows, exp, [a.column for a in listed_axes(rows, exp)], clopper_pearson)
+    return success_rates_by_condition(rows, exp, [a.column for a in listed_value_axes(rows, exp)], clopper_pearson)
 
 
 @dataclass(frozen=True)
-class GridVolume:
+class GridSuccessVolume:
     """Share of a full grid's volume that succeeds: an estimate with a lower and an upper bound.
 
     The lower bound counts cells all of whose corners succeed, the upper bound cells any of whose corners does.
@@ -101,7 +107,7 @@ class GridVolume:
     invalid: int  # rollouts
 
 
-def grid_volume(rows: pd.DataFrame, exp: Experiment) -> GridVolume:
+def grid_success_volume(rows: pd.DataFrame, exp: Experiment) -> GridSuccessVolume:
     """Compute the share of a full grid's volume that succeeds.
 
     A grid point succeeds if at least half of its valid rollouts do.
@@ -113,8 +119,8 @@ def grid_volume(rows: pd.DataFrame, exp: Experiment) -> GridVolume:
     Raises:
         InputError: The grid is not full, or has no axis of numbers.
     """
-    axes = numeric_axes(rows, listed_axes(rows, exp))
-    if not axes or not exp.study.design.combines_all:
+    axes = numeric_axes(rows, listed_value_axes(rows, exp))
+    if not axes or not exp.study.design.is_full_grid:
         raise InputError("the success volume needs a full grid of numbers")
     by = [a.column for a in axes]
     table = success_rates(rows, by)
@@ -129,7 +135,7 @@ def grid_volume(rows: pd.DataFrame, exp: Experiment) -> GridVolume:
     least, most = (np.nan_to_num(f(of_cell, axis=own), nan=empty) for f, empty in ((np.min, 0), (np.max, 1)))
     mean = np.nan_to_num(np.mean(of_cell, axis=own), nan=0.5)
     share, low, high = (float((weights * part).sum()) for part in (mean, least, most))
-    return GridVolume(share, low, high, int(table["invalid"].sum()))
+    return GridSuccessVolume(share, low, high, int(table["invalid"].sum()))
 
 
 def one_at_a_time_rows(rows: pd.DataFrame, exp: Experiment) -> Iterator[tuple[Axis, float, pd.DataFrame]]:
@@ -142,8 +148,8 @@ def one_at_a_time_rows(rows: pd.DataFrame, exp: Experiment) -> Iterator[tuple[Ax
         rows: Rows of a study.
         exp: Its experiment.
     """
-    axes = listed_axes(rows, exp)
-    centre = {a.column: a.nominal_number(lambda path: exp.system.nominal(path, exp.settings)) for a in axes}
+    axes = listed_value_axes(rows, exp)
+    centre = {a.column: a.nominal_value(lambda path: exp.system.nominal(path, exp.settings)) for a in axes}
     near = {}
     for axis in axes:
         values = rows[axis.column]
@@ -183,14 +189,16 @@ def one_at_a_time_rates(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
         The table of `stats.success_rates` with the columns `axis` and `value`.
     """
     parts = [
-        condition_rates(part, exp, [axis.column]).rename(columns={axis.column: "value"}).assign(axis=axis.column)
+        success_rates_by_condition(part, exp, [axis.column])
+        .rename(columns={axis.column: "value"})
+        .assign(axis=axis.column)
         for axis, _, part in one_at_a_time_rows(rows, exp)
     ]
     table = pd.concat(parts, ignore_index=True)[["axis", *parts[0].columns.drop("axis")]]
     return table if exp.study.has_repeats else table.assign(low=np.nan, high=np.nan)
 
 
-def margins_from_nominal(rows: pd.DataFrame, exp: Experiment, level: float = 0.5) -> pd.DataFrame:
+def success_ranges_around_nominal(rows: pd.DataFrame, exp: Experiment, level: float = 0.5) -> pd.DataFrame:
     """Compute along each listed axis how far from its nominal value rollouts succeed, with all other axes at nominal
     values.
 
@@ -285,7 +293,9 @@ def fit_logistic(x: ArrayLike, success: ArrayLike) -> LogisticFit:
     return LogisticFit(b[0], b[1] / scale, np.linalg.pinv(information) * np.outer(to_x, to_x))
 
 
-def goodness_of_fit_p(fit: LogisticFit, x: np.ndarray, success: np.ndarray, unit: np.ndarray | None = None) -> float:
+def goodness_of_fit_p_value(
+    fit: LogisticFit, x: np.ndarray, success: np.ndarray, unit: np.ndarray | None = None
+) -> float:
     """Test whether the success rates at the values of `x` follow a logistic fit (Pearson's test).
 
     Args:
@@ -326,7 +336,7 @@ def goodness_of_fit_p(fit: LogisticFit, x: np.ndarray, success: np.ndarray, unit
     return float(chi2.sf(residual @ np.linalg.pinv(variance, rcond=1e-6, hermitian=True) @ residual, len(p) - 2))
 
 
-def tolerated_errors(rows: pd.DataFrame, exp: Experiment, probability: float = 0.9) -> pd.DataFrame:
+def tolerated_parameter_errors(rows: pd.DataFrame, exp: Experiment, probability: float = 0.9) -> pd.DataFrame:
     """Estimate along each listed axis how large an error may be until the probability of success falls to
     `probability`.
 
@@ -349,12 +359,14 @@ def tolerated_errors(rows: pd.DataFrame, exp: Experiment, probability: float = 0
         size, success = distance[valid], (part["outcome"] == "success").to_numpy()[valid]
         if size.max(initial=0) <= 1e-12:
             continue
-        fit, unit = fit_logistic(size, success), interval_units(part, exp)[valid]
+        fit, unit = fit_logistic(size, success), confidence_interval_unit_ids(part, exp)[valid]
         x = max(fit.x_at_probability(probability)[0], 0.0)
-        band = condition_rates(part[valid].assign(distance=size.round(12)), exp, ["distance"], clopper_pearson)
+        band = success_rates_by_condition(
+            part[valid].assign(distance=size.round(12)), exp, ["distance"], clopper_pearson
+        )
         low, high = _crossing(band, probability)
         result = {"error": x, "low": min(float(low), x), "high": max(float(high), x)}
-        known = {"tried": size.max(), "fit_p": goodness_of_fit_p(fit, size, success, unit)}
+        known = {"tried": size.max(), "fit_p": goodness_of_fit_p_value(fit, size, success, unit)}
         lines.append({**labels, **result, **known, "total": len(valid), "invalid": int((~valid).sum())})
     return pd.DataFrame(lines)
 
@@ -400,7 +412,7 @@ def regional_sensitivity(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
     repeated = not are_all_different(draws[good | bad])
     plain = exp.study.design.follows_distributions and not has_dependent_draws(exp.study)
     lines = []
-    for axis in numeric_axes(rows, drawn_axes(rows, exp)):
+    for axis in numeric_axes(rows, randomly_drawn_axes(rows, exp)):
         good_ones, bad_ones = rows[axis.column][good], rows[axis.column][bad]
         test: Any = ks_2samp(good_ones, bad_ones)
         p = test.pvalue if plain and not repeated else np.nan
@@ -414,7 +426,7 @@ def regional_sensitivity(rows: pd.DataFrame, exp: Experiment) -> pd.DataFrame:
 def _permutation_p(rows: pd.DataFrame, exp: Experiment, name: str) -> float:
     """P-value of the Kolmogorov-Smirnov distance, by permuting the outcomes of whole draws."""
     _, draw = np.unique(draw_ids(rows, exp), return_inverse=True)
-    conditions = [axis.column for axis in listed_axes(rows, exp)]
+    conditions = [axis.column for axis in listed_value_axes(rows, exp)]
     slot = rows.groupby(conditions, sort=False).ngroup().to_numpy() if conditions else np.zeros(len(rows), dtype=int)
     slot = slot * exp.study.replicates + rows["replicate"].to_numpy() % exp.study.replicates
     gain = np.zeros((draw.max() + 1, slot.max() + 1))
@@ -463,7 +475,7 @@ def total_effects(values: np.ndarray, weights: list[np.ndarray]) -> np.ndarray:
     return np.array(left) / variance if variance > 0 else np.full(values.ndim, np.nan)
 
 
-def sensitivity_response(rows: pd.DataFrame, figure: str | None) -> pd.Series:
+def success_or_metric_values(rows: pd.DataFrame, figure: str | None) -> pd.Series:
     """Return the response of a sensitivity analysis by row: 1 or 0 for success, or the column `figure`; NaN for invalid
     rollouts.
 
@@ -481,7 +493,7 @@ def sensitivity_response(rows: pd.DataFrame, figure: str | None) -> pd.Series:
 
 
 def _blocks(
-    rows: pd.DataFrame, exp: Experiment, figure: str | None, wanted: Sensitivity, what: str
+    rows: pd.DataFrame, exp: Experiment, figure: str | None, wanted: SensitivityMethod, what: str
 ) -> tuple[list[Axis], np.ndarray]:
     """Return the drawn axes of a design, and the values of its blocks (blocks, draws of one); NaN for invalid rows.
 
@@ -492,10 +504,10 @@ def _blocks(
     if exp.study.design.sensitivity != wanted or not axes:
         kinds = design_kinds.list_kinds(lambda kind: kind.sensitivity == wanted)
         raise InputError(f"{what} need a study with design.kind = {' or '.join(kinds)}")
-    if conditions := listed_axes(rows, exp):
+    if conditions := listed_value_axes(rows, exp):
         raise InputError(f"{what} need one grid point: choose among {', '.join(a.column for a in conditions)}")
     value, draw, length = (
-        sensitivity_response(rows, figure),
+        success_or_metric_values(rows, figure),
         rows["replicate"] // exp.study.replicates,
         exp.study.design.block_size(len(axes)),
     )
@@ -524,7 +536,7 @@ def sobol_indices(rows: pd.DataFrame, exp: Experiment, figure: str | None = None
     """
     from SALib.analyze import sobol
 
-    axes, whole = _blocks(rows, exp, figure, Sensitivity.SOBOL_INDICES, "Sobol indices")
+    axes, whole = _blocks(rows, exp, figure, SensitivityMethod.SOBOL_INDICES, "Sobol indices")
     whole = whole[~np.isnan(whole).any(axis=1)]
     if len(whole) < 2 or whole.std() == 0:
         raise InputError(f"Sobol indices need values that vary: {len(whole)} complete blocks of {whole.shape[1]} draws")
@@ -596,7 +608,7 @@ def elementary_effects(rows: pd.DataFrame, exp: Experiment, figure: str | None =
     """
     from SALib.analyze import morris
 
-    axes, mean = _blocks(rows, exp, figure, Sensitivity.ELEMENTARY_EFFECTS, "elementary effects")
+    axes, mean = _blocks(rows, exp, figure, SensitivityMethod.ELEMENTARY_EFFECTS, "elementary effects")
     whole, length = ~np.isnan(mean).any(axis=1), mean.shape[1]
     if whole.sum() < 2:
         raise InputError(f"elementary effects need two complete paths of {length} draws, here: {whole.sum()}")

@@ -100,7 +100,8 @@ def sequential_test(
     Args:
         pairs: Pairs of rows (n), see `compare.pair_rows`.
         level: Confidence level.
-        unit: Independent unit of each pair (n,), see `sampling_units.pair_units`, numbered in the order of the draws.
+        unit: Independent unit of each pair (n,), see `sampling_units.paired_comparison_unit_ids`, numbered in
+            the order of the draws.
             None: each pair is one, in the order of `replicate`.
     """
     each = pairs["replicate"].to_numpy() if "replicate" in pairs else np.arange(len(pairs))

@@ -43,7 +43,7 @@ class SuccessRate:
         return self.invalid / self.total if self.total else 0.0
 
     @property
-    def invalid_text(self) -> str:
+    def invalid_rollouts_text(self) -> str:
         """Text with the count and share of invalid rollouts, such as `3 invalid (1.2 %)`."""
         return f"{self.invalid:,} invalid ({format_percent(self.invalid_share)})"
 
@@ -56,7 +56,7 @@ class SuccessRate:
             else f", 95 % interval {format_percent(self.low)} to {format_percent(self.high)}"
         )
         share = f"{format_percent(self.share)}{sure}"
-        return f"{self.successes:,} of {self.valid_count:,} succeed ({share}), {self.invalid_text}"
+        return f"{self.successes:,} of {self.valid_count:,} succeed ({share}), {self.invalid_rollouts_text}"
 
 
 def format_percent(share: float) -> str:
@@ -109,7 +109,7 @@ def success_rates(
     return table.assign(valid=valid, share=share, low=low, high=high)
 
 
-def sum_by_unit(values: np.ndarray, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def sum_by_independent_unit(values: np.ndarray, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Sum values over the rows of each independent unit (group of dependent rows).
 
     Args:
@@ -165,7 +165,7 @@ def _ends_by_unit(
     return Interval(np.where(clustered, own.low, ends.low), np.where(clustered, own.high, ends.high))
 
 
-def cause_lines(cause: pd.Series, meanings: Mapping[str, str]) -> list[str]:
+def format_cause_counts(cause: pd.Series, meanings: Mapping[str, str]) -> list[str]:
     """Describe each failure cause in a column in one line, the most frequent first: number of rollouts, name and
     meaning.
 

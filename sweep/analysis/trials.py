@@ -14,7 +14,7 @@ MIN_CONDITIONS = 4  # for the interval of a correlation
 
 
 @dataclass(frozen=True)
-class Calibration:
+class PredictionCalibration:
     """How well predicted success rates agree with the outcomes of real trials."""
 
     trials: int
@@ -27,7 +27,9 @@ class Calibration:
     observed_rate: float
 
 
-def calibration(predicted: np.ndarray, success: np.ndarray, level: float = CONFIDENCE_LEVEL) -> Calibration:
+def assess_prediction_calibration(
+    predicted: np.ndarray, success: np.ndarray, level: float = CONFIDENCE_LEVEL
+) -> PredictionCalibration:
     """Compare predicted success rates with outcomes of real trials by Brier score (Brier 1950; Spiegelhalter 1986).
 
     Args:
@@ -42,7 +44,7 @@ def calibration(predicted: np.ndarray, success: np.ndarray, level: float = CONFI
     variance = np.sum((1 - 2 * predicted) ** 2 * predicted * (1 - predicted))
     z = np.sum((observed - predicted) * (1 - 2 * predicted)) / np.sqrt(variance) if variance > 0 else np.nan
     low, high = student_interval(squared, level)
-    return Calibration(
+    return PredictionCalibration(
         len(observed),
         float(squared.mean()),
         low,
@@ -77,7 +79,7 @@ def reliability_curve(
     return table.assign(share=table["success"] / table["trials"], low=low, high=high)
 
 
-def condition_correlation(
+def success_rate_correlation(
     predicted: np.ndarray, observed: np.ndarray, level: float = CONFIDENCE_LEVEL
 ) -> tuple[float, float, float]:
     """Correlate predicted with observed success rates over conditions (Pearson).
@@ -99,7 +101,7 @@ def condition_correlation(
     return float(found.statistic), float(low), float(high)
 
 
-def belief_weights(simulated: np.ndarray, success: np.ndarray, error_rate: float) -> np.ndarray:
+def draw_likelihood_weights(simulated: np.ndarray, success: np.ndarray, error_rate: float) -> np.ndarray:
     """Weigh simulated parameter draws by the likelihood of the outcomes of real trials.
 
     A trial ends as the simulation of the true parameters says, except with probability `error_rate`.
@@ -118,12 +120,12 @@ def belief_weights(simulated: np.ndarray, success: np.ndarray, error_rate: float
     return weights / weights.sum()
 
 
-def belief_table(values: pd.DataFrame, weights: np.ndarray) -> pd.DataFrame:
+def prior_posterior_table(values: pd.DataFrame, weights: np.ndarray) -> pd.DataFrame:
     """Compare mean and spread of each parameter before and after weighing its draws by the outcomes of real trials.
 
     Args:
         values: Parameters of the draws, a column each (draws,).
-        weights: Weights of the draws (draws,), see `belief_weights`.
+        weights: Weights of the draws (draws,), see `draw_likelihood_weights`.
 
     Returns:
         A row for each parameter: mean and standard deviation `before` and `after`, the `shift` of the mean in standard

@@ -49,7 +49,7 @@ def configure_jax() -> None:
         jax.config.update("jax_num_cpu_devices", count_cores())
 
 
-def start_device_search() -> None:
+def search_devices_in_background() -> None:
     """Let JAX search for devices in a thread, which takes most of a second on a GPU; the first user of a device sees
     errors."""
     configure_jax()
@@ -206,7 +206,7 @@ def put_on_devices(tree: Any, over: jax.sharding.Mesh) -> Any:
     return jax.device_put(tree, jax.tree.map(lambda x: x.sharding, sharded_shapes(tree, over)))
 
 
-def batch_axes(tree: Any) -> Any:
+def vmap_in_axes(tree: Any) -> Any:
     """Return `in_axes` for `jax.vmap`: 0 for leaves of a tree that have a batch axis, None for the others."""
     return jax.tree.map(lambda x: 0 if np.ndim(x) else None, tree)
 

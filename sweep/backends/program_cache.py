@@ -64,7 +64,7 @@ def load_or_compile(
         file = folder / f"{_key(key_parts, devices)}.programs"
         if (found := _load(file, devices)) is not None:
             return found
-        with without_cache(), time_compilation():
+        with disable_compilation_caches(), time_compilation():
             made = compile_programs()
     try:
         _store(file, pickle.dumps([_serialize(part) for part in made]))
@@ -74,7 +74,7 @@ def load_or_compile(
 
 
 @contextlib.contextmanager
-def without_cache() -> Iterator[None]:
+def disable_compilation_caches() -> Iterator[None]:
     """Context without the compilation caches of this package and of JAX. Only one thread at a time can be in it.
 
     A CPU program that JAX loads from its own cache lacks functions when it is serialised again.
@@ -110,7 +110,7 @@ def _key(key_parts: Any, devices: Sequence[Any]) -> str:
 
 def _load(file: Path, devices: Sequence[Any]) -> Sequence[Any] | None:
     try:
-        files.require_private(file)
+        files.require_private_path(file)
         packed = file.read_bytes()
         check, content = packed[:DIGEST_SIZE], zlib.decompress(packed[DIGEST_SIZE:])
         if check != hashlib.sha256(content).digest():

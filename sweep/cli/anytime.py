@@ -12,10 +12,10 @@ from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
 from sweep.core.expressions import condition_mask
 from sweep.runs import extend, results, store
-from sweep.study.study import name_axes
+from sweep.study.study import attach_axis_names
 
 
-def compare_anytime(args: argparse.Namespace, by: list[str] | None) -> sequential.SequentialResult:
+def compare_folders_sequentially(args: argparse.Namespace, by: list[str] | None) -> sequential.SequentialResult:
     """Compare the success rates of two folders sequentially; with `--most`, simulate more draws until it is decided.
 
     Both folders grow by a batch of A at a time, or a quarter of their draws, to at most `--most` draws. Raises
@@ -42,9 +42,9 @@ def compare_anytime(args: argparse.Namespace, by: list[str] | None) -> sequentia
     rows = [store.read_rows(folder) for folder in folders]
     exps = [results.load_experiment(folder) for folder in folders]
     while True:
-        a, b = (named_rows(*one) for one in zip(rows, exps, conditions, strict=True))
+        a, b = (select_matching_rows(*one) for one in zip(rows, exps, conditions, strict=True))
         pairs = compare.pair_rows(a, b, by)
-        if (unit := compare.unit_numbers_of_pairs(pairs, exps[0])) is None:
+        if (unit := compare.pair_sampling_unit_ids(pairs, exps[0])) is None:
             what = "were not drawn at random: they form a grid, or a search placed them"
             raise InputError(
                 f"--anytime needs random draws, or noisy replicates of one point: the points of {args.a} {what}"
@@ -57,7 +57,7 @@ def compare_anytime(args: argparse.Namespace, by: list[str] | None) -> sequentia
             extend.check_extendable(exp, folder)
         number = min(next_draw_count(exps[0], folders[0], now), args.most)
         for k, folder in enumerate(folders):
-            exps[k] = grow_folder(exps[k], folder, number)
+            exps[k] = simulate_more_draws(exps[k], folder, number)
             rows[k] = store.read_rows(folder)
 
 
@@ -75,7 +75,7 @@ def next_draw_count(exp: Experiment, folder: Path, draws: int | None = None) -> 
     return now + max(int(widths.iloc[-1]) // rollouts, now // 4, 1)
 
 
-def grow_folder(exp: Experiment, folder: Path, draws: int) -> Experiment:
+def simulate_more_draws(exp: Experiment, folder: Path, draws: int) -> Experiment:
     """Simulate more draws of a study in its folder, with a progress line; return the larger experiment.
 
     Args:
@@ -92,8 +92,8 @@ def grow_folder(exp: Experiment, folder: Path, draws: int) -> Experiment:
         return extend.extend_study(exp, folder, draws, report)
 
 
-def named_rows(rows: pd.DataFrame, exp: Experiment, condition: str | None) -> pd.DataFrame:
+def select_matching_rows(rows: pd.DataFrame, exp: Experiment, condition: str | None) -> pd.DataFrame:
     """Select the rows of a study that meet a condition; the condition may use the study's names of axes as well as
     columns."""
-    rows = name_axes(rows, exp.study.axes)
+    rows = attach_axis_names(rows, exp.study.axes)
     return rows[condition_mask(rows, condition)]

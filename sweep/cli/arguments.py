@@ -20,6 +20,6 @@ def add_output(parser: Arguments, text: str) -> None:
     parser.add_argument("-o", "--output", type=Path, help=text)
 
 
-def parse_names(text: str | None) -> list[str] | None:
+def parse_comma_separated_names(text: str | None) -> list[str] | None:
     """Split a comma-separated list: `a, b` -> [`a`, `b`]."""
     return [name.strip() for name in text.split(",")] if text else None

@@ -12,7 +12,7 @@ import pandas as pd
 
 from sweep.analysis import certify, sensitivity
 from sweep.analysis.intervals import clopper_pearson
-from sweep.analysis.sampling_units import describe_sample_size, has_draws
+from sweep.analysis.sampling_units import describe_sample_size, has_random_draws
 from sweep.analysis.stats import format_percent
 from sweep.cli.run_progress import report_progress
 from sweep.config.experiment import Experiment, build_experiment
@@ -40,7 +40,7 @@ def certify_region(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
     exp = results.load_experiment(folder)
     names = drawn_parameter_columns(exp, rows)
     order = np.random.default_rng(0).permutation(len(rows))
-    learned = parameters_and_failures(rows if args.rollouts else rows.iloc[order[::2]], names)
+    learned = parameter_matrix_and_failures(rows if args.rollouts else rows.iloc[order[::2]], names)
     if learned[1].all():
         raise InputError("no region can be formed: none of the rows to fit it to succeeds")
     least = certify.required_failure_free_rows(args.failures, args.confidence) / (args.rollouts or len(rows) // 2)
@@ -50,7 +50,7 @@ def certify_region(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:
         new = partial(simulate_fresh_draws, exp, path_inside_folder(folder, FRESH_DRAWS_STUDY), exp.study.seed + 1)
         fresh = new(args.rollouts) if args.rollouts else rows.iloc[order[1::2]]
     found = certify.certify_largest_region(
-        score.result(), learned, parameters_and_failures(fresh, names), args.failures, args.confidence
+        score.result(), learned, parameter_matrix_and_failures(fresh, names), args.failures, args.confidence
     )
     lines = [format_certificate(found, args.shape, names)]
     if args.engines_agree:
@@ -79,7 +79,9 @@ def check_arguments(args: argparse.Namespace) -> None:
     if args.rollouts is not None and args.rollouts < (
         need := certify.required_failure_free_rows(args.failures, args.confidence)
     ):
-        takes = f"{args.failures:g} at {format_share(args.confidence)} takes at least {need}, if none of them fails"
+        takes = (
+            f"{args.failures:g} at {format_exact_percent(args.confidence)} takes at least {need}, if none of them fails"
+        )
         raise InputError(f"--rollouts = {args.rollouts} is not allowed: {takes}")
 
 
@@ -109,13 +111,13 @@ def drawn_parameter_columns(exp: Experiment, rows: pd.DataFrame) -> list[str]:
     """Return the columns of randomly drawn parameters. Raises `InputError` unless rows are independent draws of a few
     numeric parameters."""
     own = exp.study
-    if not (has_draws(own) and own.design.has_independent_draws) or own.replicates > 1 or own.is_refined:
+    if not (has_random_draws(own) and own.design.has_independent_draws) or own.replicates > 1 or own.is_refined:
         kinds = " or ".join(design_kinds.list_kinds(lambda kind: kind.has_independent_draws))
         raise InputError(
             f"certify needs one rollout of each independent draw: study.design.kind = {kinds}, replicates = 1; "
             f"{own.name} has {len(rows):,} rollouts ({describe_sample_size(rows, exp)})"
         )
-    if listed := sensitivity.listed_axes(rows, exp):
+    if listed := sensitivity.listed_value_axes(rows, exp):
         raise InputError(f"axis {listed[0].name} has listed values: certify needs a distribution for every axis")
     names = [a.column for a in own.axes if a.distribution]
     if words := [name for name in names if rows[name].dtype.kind not in "fi"]:
@@ -125,7 +127,7 @@ def drawn_parameter_columns(exp: Experiment, rows: pd.DataFrame) -> list[str]:
     return names
 
 
-def parameters_and_failures(rows: pd.DataFrame, names: list[str]) -> tuple[np.ndarray, np.ndarray]:
+def parameter_matrix_and_failures(rows: pd.DataFrame, names: list[str]) -> tuple[np.ndarray, np.ndarray]:
     """Return the parameter values of all rows (n, d), and which rows failed (n,); invalid rollouts count as
     failures."""
     return rows[names].to_numpy(dtype=float), (rows["outcome"] != "success").to_numpy()
@@ -133,14 +135,14 @@ def parameters_and_failures(rows: pd.DataFrame, names: list[str]) -> tuple[np.nd
 
 def simulate_fresh_draws(exp: Experiment, folder: Path, seed: int, number: int) -> pd.DataFrame:
     """Simulate draws of the study with a new seed in a separate folder, and return their rows."""
-    fresh = with_seed_and_draws(exp, folder, seed, number)
+    fresh = copy_with_seed_and_draws(exp, folder, seed, number)
     with report_progress("fresh draws", number, f"{exp.scenario} for fresh draws") as report:
         extend.extend_study(fresh, folder, number, report)
     rows = store.read_rows(folder)
     return rows[rows["replicate"] < number]
 
 
-def with_seed_and_draws(exp: Experiment, folder: Path, seed: int, number: int) -> Experiment:
+def copy_with_seed_and_draws(exp: Experiment, folder: Path, seed: int, number: int) -> Experiment:
     """Return a copy of the experiment whose study has another seed and another number of draws."""
     own = exp.values["study"]
     study = {**own, "seed": seed, "design": {**own["design"], "num": number}, "keep": [], "expect": []}
@@ -161,9 +163,9 @@ def check_region_by_simulation(
         int(store.read_points(path_inside_folder(folder, FRESH_DRAWS_STUDY))["width"].iloc[0]),
     )
     place = path_inside_folder(folder, CHECK_STUDY)
-    again = with_seed_and_draws(exp, place, exp.study.seed + 2, number)
+    again = copy_with_seed_and_draws(exp, place, exp.study.seed + 2, number)
     again = replace(again, settings=replace(again.settings, width=width))
-    table = runner.select_points(again)
+    table = runner.select_points_to_simulate(again)
     x = table[names].to_numpy(dtype=float)
     inside, order = certificate.contains(x), np.argsort(-worst(x))
     kinds = {
@@ -194,20 +196,21 @@ def format_certificate(certificate: certify.Certificate, shape: str, names: list
     if not certificate.is_certified:
         return f"no {shape} is certified at {certificate.failures:g}: {where}; try more rows or larger --failures"
     promise = (
-        f"with a confidence of {format_share(certificate.confidence)} at most {format_share(certificate.failures)} "
+        f"with a confidence of {format_exact_percent(certificate.confidence)} "
+        f"at most {format_exact_percent(certificate.failures)} "
         f"of the study's draws that fall into this {shape} fail: "
-        f"{format_percent(certificate.draw_share)} of all draws, "
+        f"{format_percent(certificate.region_draw_share)} of all draws, "
         f"{certificate.failed} of {certificate.rows} fresh rows failed there"
     )
     why = f"; {where}" if certificate.next_region_rows else "; there is no larger region"
     assumed = (
         "this holds for draws from the study's distributions, not for every point; invalid rollouts count as failures"
     )
-    condition = certificate.score.condition(names, certificate.threshold)
+    condition = certificate.score.format_region_condition(names, certificate.threshold)
     return f"{promise}{why}.\n{assumed}\nthe region, for --where:\n  {condition}"
 
 
-def format_share(share: float) -> str:
+def format_exact_percent(share: float) -> str:
     """Format a share as per cent without rounding: `1e-5` -> `0.001 %`."""
     return f"{100 * share:g} %"
 
@@ -222,13 +225,15 @@ def certificate_as_json_values(
         "failures_at_most": certificate.failures,
         "confidence": certificate.confidence,
         "certified": certificate.is_certified,
-        "where": certificate.score.condition(names, certificate.threshold) if certificate.is_certified else None,
+        "where": certificate.score.format_region_condition(names, certificate.threshold)
+        if certificate.is_certified
+        else None,
         "region": certificate.score.region_values(names, certificate.threshold) if certificate.is_certified else None,
         "rows": certificate.rows,
         "failed": certificate.failed,
         "fresh_rows": certificate.fresh_draws,
         "next_rows": certificate.next_region_rows,
         "next_failed": certificate.next_region_failed,
-        "share_of_draws": certificate.draw_share,
-        "bound_of_its_rows": certificate.upper_bound if certificate.is_certified else None,
+        "share_of_draws": certificate.region_draw_share,
+        "bound_of_its_rows": certificate.failure_probability_bound if certificate.is_certified else None,
     }

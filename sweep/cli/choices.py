@@ -13,7 +13,7 @@ PACKAGE_FOLDER = Path(__file__).parents[1]
 EVIDENCE_HINT = "; studies of the project's own evidence are files of its repository: study=research/studies/NAME.yaml"
 
 
-def shipped_choices(group: str) -> dict[str, str]:
+def shipped_group_choices(group: str) -> dict[str, str]:
     """Return the shipped choices of a configuration group with a one-line description each, read as text without
     imports."""
     found = _classes(PACKAGE_FOLDER / GROUPS[group].source_path) if GROUPS[group].has_kinds else {}
@@ -35,7 +35,7 @@ def refuse_unknown_choices(overrides: list[str]) -> None:
         if name.endswith(".yaml") or project.user_module_names():
             continue
         try:
-            require_choice(name, {**shipped_choices(group), **project.project_files(group)}, f"{group} = {name}")
+            require_choice(name, {**shipped_group_choices(group), **project.project_files(group)}, f"{group} = {name}")
         except InputError as error:
             raise InputError(f"{error}{EVIDENCE_HINT if group == 'study' else ''}{no_project_hint()}") from None
 
@@ -61,7 +61,7 @@ def _refuse_bare_words(overrides: list[str]) -> None:
     for word in overrides:
         if not re.fullmatch(r"\w[\w-]*", word):
             continue
-        fits = [group for group in GROUPS if word in {**shipped_choices(group), **project.project_files(group)}]
+        fits = [group for group in GROUPS if word in {**shipped_group_choices(group), **project.project_files(group)}]
         if fits:
             raise InputError(f"{word} is not allowed: did you mean {' or '.join(f'{group}={word}' for group in fits)}?")
         raise InputError(f"{word} cannot be read: group=choice or group.name=value{no_project_hint()}")

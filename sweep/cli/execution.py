@@ -10,8 +10,8 @@ import pandas as pd
 
 from sweep.analysis import power, rare
 from sweep.analysis.expectations import unmet_expectations
-from sweep.analysis.sample import drop_repeated_rollouts, pooled_rate
-from sweep.analysis.stats import cause_lines, success_rate
+from sweep.analysis.sample import drop_repeated_rollouts, pooled_success_rate
+from sweep.analysis.stats import format_cause_counts, success_rate
 from sweep.cli.exits import DONE, INVALID, UNEXPECTED
 from sweep.cli.run_progress import report_progress
 from sweep.config.experiment import Experiment, build_experiment, compose_values
@@ -21,9 +21,9 @@ from sweep.core.progress import (
     format_compile_estimate,
     format_last_duration,
     format_running_parts,
-    remember_duration,
-    show_counts,
     show_elapsed_time,
+    show_progress_counts,
+    store_step_duration,
 )
 from sweep.report import tables
 from sweep.report.headline import study_headline
@@ -32,10 +32,10 @@ from sweep.runs.batches import make_engine
 from sweep.runs.batches import make_nominal_batch as nominal_batch
 from sweep.runs.nominal_levels import FailingLevel, find_failing_levels
 from sweep.runs.results import Results
-from sweep.runs.unsearched_values import describe_unsearched_values
+from sweep.runs.unsearched_values import describe_values_outside_tuned_range
 from sweep.study.clusters import WorkerStatus, connect_lazily
-from sweep.study.study import name_axes, parameter_columns, unit_of_column, validate_expectations
-from sweep.systems import find_kind_by_keys
+from sweep.study.study import attach_axis_names, parameter_columns, unit_of_column, validate_expectations
+from sweep.systems import find_kind_by_config_keys
 
 JITTER_STUDY = ["study=any_jitter"]  # sixteen rollouts that differ by 1e-6
 MAX_CHANGED_SHARE = 0.2  # share of them that may end otherwise than the scenario expects
@@ -71,7 +71,7 @@ def execute_experiment(exp: Experiment, flags: RunFlags) -> int:
         if flags.check:
             raise InputError("--check tests the axes of a study: give study=NAME")
     if exp.study.single and not exp.out:
-        return execute_single(exp, flags)
+        return execute_single_rollout(exp, flags)
     folder = exp.folder
     if not flags.check:  # which writes nothing
         store.refuse_foreign_folder(folder)
@@ -79,14 +79,14 @@ def execute_experiment(exp: Experiment, flags: RunFlags) -> int:
     # ids tell which points a folder has, or which are left out; nothing else of a dry run needs them
     with_ids = not flags.dry_run or not whole or bool(exp.study.where or exp.study.points)
     with_ids = with_ids or not store.read_points(folder, ["batch"]).empty
-    first = runner.select_points(
+    first = runner.select_points_to_simulate(
         exp, flags.where, flags.limit, lambda line: print(f"sweep: {line}", file=sys.stderr), with_ids
     )
     if not flags.check:  # which judges nothing by outcomes
         validate_expectations(exp.study, exp.system, first)
     if exp.study.is_refined:
         refine.check_refinable(exp.study, first)
-    if line := exp.study.design.warning:
+    if line := exp.study.design.precision_warning:
         print(f"sweep: {line}", file=sys.stderr)
     if flags.dry_run:
         job = runner.prepare_job(exp, folder, first)
@@ -96,12 +96,12 @@ def execute_experiment(exp: Experiment, flags: RunFlags) -> int:
         points = job.table if len(job.table) == len(first) else first.assign(width=job.table["width"].iloc[0])
         with show_elapsed_time("tracing which axes enter the simulation"):
             ineffective = axis_effects.describe_unread_axes(exp, points)
-        unsearched = describe_unsearched_values(exp, first)
-        lines = [describe_dry_run(job), *unsearched, *ineffective, *map(str, list_failing_levels(exp))]
+        unsearched = describe_values_outside_tuned_range(exp, first)
+        lines = [describe_dry_run(job), *unsearched, *ineffective, *map(str, find_failing_axis_levels(exp))]
         terminal.print_markdown("\n".join(lines) + "\n")
         return DONE
     if flags.check:
-        return check_axes(exp, first)
+        return check_axes_and_repeatability(exp, first)
 
     def say(line: str) -> None:
         print(f"sweep: {line}", file=sys.stderr)
@@ -111,14 +111,14 @@ def execute_experiment(exp: Experiment, flags: RunFlags) -> int:
     with store.lock_folder(folder), connect_lazily(exp.cluster, watched) as dispatch:
         for line in runner.repair_folder(exp, folder):
             say(line)
-        done, start, to_do = 0, time.perf_counter(), iterate_jobs(exp, folder, first, whole)
+        done, start, to_do = 0, time.perf_counter(), iterate_study_jobs(exp, folder, first, whole)
         for line in runner.describe_changed_axes(exp, folder):
             say(line)
         failing = None
         for job in to_do:
             todo = len(job.points_of_batches(job.missing_batches()))
             if todo and failing is None:
-                failing = list_failing_levels(exp)
+                failing = find_failing_axis_levels(exp)
             with report_progress(exp.study.name, todo, describe_compiled_program(exp), watched) as report:
                 job = runner.run_job(job, report, dispatch)
             done += todo
@@ -127,7 +127,7 @@ def execute_experiment(exp: Experiment, flags: RunFlags) -> int:
             print("no rollouts left to run", file=sys.stderr)
         else:
             print(f"{done} rollouts in {seconds:.1f} s ({done / seconds:.1f} a second)", file=sys.stderr)
-        rows, stored = name_axes(store.read_rows(folder), exp.study.axes), store.read_study(folder)
+        rows, stored = attach_axis_names(store.read_rows(folder), exp.study.axes), store.read_study(folder)
         size, used = stored["rollouts"], stored["devices"]
         complete = len(rows) == size and (whole or not exp.study.is_sequential)
     if len(used) > 1:
@@ -137,7 +137,7 @@ def execute_experiment(exp: Experiment, flags: RunFlags) -> int:
         )
     with show_elapsed_time("looking for axes without an effect"):
         ineffective = axis_effects.describe_ineffective_axes(exp, rows)
-    notes = (*describe_unsearched_values(exp, first), *ineffective, *(failing or ()))
+    notes = (*describe_values_outside_tuned_range(exp, first), *ineffective, *(failing or ()))
     terminal.print_markdown("\n".join([summarize_study(exp, rows), *(f"  {line}" for line in notes)]) + "\n")
     if exp.study.is_refined:
         print("\n".join(f"refined: {one}" for one in refine.summarize_panels(exp, rows)))
@@ -146,7 +146,7 @@ def execute_experiment(exp: Experiment, flags: RunFlags) -> int:
     print(f"{len(rows)} of {size} planned rollouts are in {folder}")
     if complete and exp.study.replays:
         record_study_replays(exp, folder, rows)
-    return expectation_exit_code(exp, rows, complete)
+    return report_unmet_expectations(exp, rows, complete)
 
 
 def record_study_replays(exp: Experiment, folder: Path, rows: pd.DataFrame) -> None:
@@ -176,7 +176,7 @@ def record_study_replays(exp: Experiment, folder: Path, rows: pd.DataFrame) -> N
         return f"{done} of {total} replays recorded; study.replays=0 records none"
 
     try:
-        with store.lock_folder(folder), show_counts(words, 0, exp.study.replays) as report:
+        with store.lock_folder(folder), show_progress_counts(words, 0, exp.study.replays) as report:
             number = recording.record_replays(results, report)
     except (InputError, Fault, MemoryError) as error:
         print(f"sweep: no replays recorded: {error or 'not enough memory'}", file=sys.stderr)
@@ -185,20 +185,20 @@ def record_study_replays(exp: Experiment, folder: Path, rows: pd.DataFrame) -> N
         print(f"{number} replays recorded in {time.perf_counter() - start:.1f} s (study.replays)", file=sys.stderr)
 
 
-def list_failing_levels(exp: Experiment) -> list[FailingLevel]:
+def find_failing_axis_levels(exp: Experiment) -> list[FailingLevel]:
     """List the names on categorical axes, such as gaits, whose nominal rollout fails; prints progress while it
     simulates."""
     with show_elapsed_time(f"simulating the nominal rollout of each name that {exp.study.name} lists"):
         return find_failing_levels(exp)
 
 
-def check_axes(exp: Experiment, points: pd.DataFrame) -> int:
+def check_axes_and_repeatability(exp: Experiment, points: pd.DataFrame) -> int:
     """Check by simulation whether every axis has an effect and rollouts are repeatable; exit code 4 if not."""
 
     def words(done: int) -> str:
         return f"{exp.study.name}: {done} rollouts simulated to check that its axes have an effect"
 
-    with show_counts(words, 0) as told:
+    with show_progress_counts(words, 0) as told:
         found = axis_check.run_axis_check(exp, points, told)
     for line in found.format_lines(exp):
         print(f"sweep: {line}", file=sys.stderr)
@@ -207,7 +207,7 @@ def check_axes(exp: Experiment, points: pd.DataFrame) -> int:
     return DONE if found.is_sound else UNEXPECTED
 
 
-def iterate_jobs(exp: Experiment, folder: Path, first: pd.DataFrame, whole: bool) -> Iterable[runner.Job]:
+def iterate_study_jobs(exp: Experiment, folder: Path, first: pd.DataFrame, whole: bool) -> Iterable[runner.Job]:
     """Yield the jobs (batches to simulate) of a study: one for each round if results decide what runs next, or one."""
     if whole and exp.study.is_refined:
         return refine.iter_jobs(exp, folder, first)
@@ -218,7 +218,7 @@ def iterate_jobs(exp: Experiment, folder: Path, first: pd.DataFrame, whole: bool
     )
 
 
-def execute_single(exp: Experiment, flags: RunFlags) -> int:
+def execute_single_rollout(exp: Experiment, flags: RunFlags) -> int:
     """Simulate one nominal rollout and print its outcome and metrics.
 
     On the native engine, whose last bits differ between hosts, expectations are judged by jittered rollouts.
@@ -240,22 +240,22 @@ def execute_single(exp: Experiment, flags: RunFlags) -> int:
 
     with show_elapsed_time(words):
         rows = runner.run_single_batch(exp)
-    remember_duration(what, time.perf_counter() - start)
+    store_step_duration(what, time.perf_counter() - start)
     terminal.print_markdown(tables.rollout_table(exp, rows.iloc[0]))
-    if exp.study.expect and exp.settings.name == "native" and (other := experiment_with_small_jitter(exp)):
+    if exp.study.expect and exp.settings.name == "native" and (other := add_parameter_jitter(exp)):
         with show_elapsed_time(
             f"simulating {exp.scenario} {other.study.max_rollouts} times to judge its expectations on the native engine"
         ):
             exp, rows = other, runner.run_single_batch(other)
-        print(f"sweep: with perturbations of 1e-6, {pooled_rate(rows, exp)}", file=sys.stderr)
-    return expectation_exit_code(exp, rows, complete=True)
+        print(f"sweep: with perturbations of 1e-6, {pooled_success_rate(rows, exp)}", file=sys.stderr)
+    return report_unmet_expectations(exp, rows, complete=True)
 
 
-def experiment_with_small_jitter(exp: Experiment) -> Experiment | None:
+def add_parameter_jitter(exp: Experiment) -> Experiment | None:
     """Return the experiment with small random errors on its parameters (study `jitter`); None for other systems than
     the hexapod."""
     values = compose_values(JITTER_STUDY)
-    if find_kind_by_keys(values) is not find_kind_by_keys(exp.values):
+    if find_kind_by_config_keys(values) is not find_kind_by_config_keys(exp.values):
         return None
     of = build_experiment({**exp.values, "study": {**values["study"], "name": f"{exp.scenario}_jitter"}})
     expect = tuple(
@@ -269,7 +269,7 @@ def experiment_with_small_jitter(exp: Experiment) -> Experiment | None:
     )
 
 
-def expectation_exit_code(exp: Experiment, rows: pd.DataFrame, complete: bool) -> int:
+def report_unmet_expectations(exp: Experiment, rows: pd.DataFrame, complete: bool) -> int:
     """Print a line for each unmet expectation of a study, and return the exit code."""
     found = success_rate(rows["outcome"])
     if found.invalid_share > exp.study.invalid_max:
@@ -292,11 +292,11 @@ def summarize_study(exp: Experiment, rows: pd.DataFrame) -> str:
     """
     rows, copies = drop_repeated_rollouts(rows, exp)
     lines = [f"{exp.study.name}: {study_headline(rows, exp)}"]
-    lines += [f"  {line}" for line in cause_lines(rows["cause"], exp.system.cause_meanings(exp.thresholds))]
+    lines += [f"  {line}" for line in format_cause_counts(rows["cause"], exp.system.cause_meanings(exp.thresholds))]
     lines += [f"  {copies}"] if copies else []
     for column in parameter_columns(rows):
         if rows[column].dtype.kind != "f" and rows[column].nunique() > 1 and not exp.study.is_adaptive:
-            lines += [f"  {column} = {value}: {pooled_rate(part, exp)}" for value, part in rows.groupby(column)]
+            lines += [f"  {column} = {value}: {pooled_success_rate(part, exp)}" for value, part in rows.groupby(column)]
     return "\n".join(lines)
 
 
@@ -343,7 +343,7 @@ def seconds_per_rollout(folder: Path, job: runner.Job) -> float | None:
         same &= exp.system.device(exp.settings) in stored["devices"]
     except (InputError, KeyError):  # damaged, or of an earlier layout
         return None
-    return store.last_seconds_per_rollout(folder) if same else None
+    return store.last_rollout_wall_time_s(folder) if same else None
 
 
 def axes_table(exp: Experiment) -> str:

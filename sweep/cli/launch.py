@@ -30,7 +30,7 @@ def launch_hydra(overrides: list[str], work: Callable[[Experiment], int], run_fl
     """
     if not any(one.startswith(("-", "hydra", "+hydra", "~hydra")) for one in overrides):
         return work(experiment.compose(overrides))  # Hydra's application would compose it twice
-    check_flags(overrides, run_flags)
+    check_run_arguments(overrides, run_flags)
     experiment.register_schemas()
     codes = [DONE]
 
@@ -64,7 +64,7 @@ def launch_hydra(overrides: list[str], work: Callable[[Experiment], int], run_fl
     return max(codes)
 
 
-def check_flags(overrides: list[str], run_flags: list[str]) -> None:
+def check_run_arguments(overrides: list[str], run_flags: list[str]) -> None:
     """Raise `InputError` for arguments of `sweep run` for which Hydra would print its usage."""
     parser = make_hydra_parser()
 

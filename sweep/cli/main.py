@@ -19,7 +19,7 @@ def main(argv: list[str] | None = None) -> int:
     gc.set_threshold(50_000)  # imports and tracing make a million objects, none in vain: 10 % of a start
     atexit.register(gc.freeze)  # nor are they looked through at the end, which takes as long again
     if argv is None:  # this process is the command's own
-        interrupts.watch_interrupts()
+        interrupts.install_interrupt_handler()
     if sys.stdout is sys.__stdout__:  # not of a notebook, or of a test
         streams.protect_streams()
     try:
@@ -36,7 +36,7 @@ def run_command(argv: list[str] | None) -> int:
         from sweep.core import project
 
         try:
-            with project.locate_user_errors():
+            with project.convert_user_errors():
                 return commands.execute_command(list(sys.argv[1:] if argv is None else argv))
         finally:
             sys.stdout.flush()  # here, where it is told that nothing could be written

@@ -34,11 +34,11 @@ def describe_limits(folder: Path) -> list[str]:
     for count, group in sorted(
         ((len(group), group) for _, group in failed.groupby(["cause", "stage"])), key=lambda x: -x[0]
     )[:MAX_LIMITS]:
-        worst = group.loc[group["margin"].idxmin()]
+        worst = group.iloc[int(np.argmin(group["margin"].to_numpy()))]
         replay = replay_rollout(folder, str(worst["point_id"]))
         part = describe_limiting_part(replay.trace, str(worst["cause"]), str(worst["stage"]))
         where = f"{worst['cause']} in {worst['stage']}" + (f", {part}" if part else "")
-        why = exp.system.explain_cause(worst.to_dict(), exp.thresholds)
+        why = exp.system.explain_cause({str(k): v for k, v in worst.items()}, exp.thresholds)
         sizes = describe_separating_sizes(group, rows[rows["outcome"] == SUCCESS])
         lines.append(f"{count} of {len(rows)} draws fail by {where}: {'; '.join([why, *sizes])}")
     return lines

@@ -25,7 +25,7 @@ from sweep.config.experiment import Experiment, compose
 from sweep.contract.system import split_side_prefix
 from sweep.core.errors import InputError
 from sweep.core.files import write_atomically
-from sweep.core.provenance import search_version
+from sweep.core.provenance import plan_search_version
 from sweep.models.case import Case
 from sweep.planning import plan_table
 from sweep.planning.plan_table import BY_COMMAND, COMMAND, ORIGIN, RANGES, SEARCHED, SLOPES, Content
@@ -34,9 +34,9 @@ from sweep.planning.score import (
     MANOEUVRE,
     MarginAim,
     PlanScore,
+    broadcast_over_draws,
     least_margins,
-    relative_changes,
-    with_draw_axis,
+    relative_size_changes,
 )
 from sweep.runs import store, tuning
 from sweep.study.study import make_points, parameter_columns
@@ -62,22 +62,22 @@ def tune_plan(args: argparse.Namespace) -> int:
     numbers, own = plan_table.plan_values(case), tunable_manoeuvre_parameters(case)
     patterns = args.free or ["*"]
     beside = [text for text in patterns if text.startswith(f"{MANOEUVRE}.")]
-    steps = tuning.parse_free_numbers(
+    steps = tuning.parse_free_plan_numbers(
         numbers, [text for text in patterns if text not in beside], plan_table.formula_values(case)
     )
-    steps |= tuning.parse_free_numbers(own, beside)
+    steps |= tuning.parse_free_plan_numbers(own, beside)
     numbers |= own
     if args.follow and beside:
         raise InputError(
             f"--free = {beside[0]} is not allowed with --follow: only numbers of the plan can depend on sizes"
         )
-    sizes = nominal_drawn_sizes(exp) if args.follow else {}
+    sizes = nominal_drawn_parameters(exp) if args.follow else {}
     method = "linear programs, to follow sizes" if args.follow else "gradients" if args.gradients else "CMA-ES"
     aims, width = [parse_margin_aim(text) for text in args.need], args.population if method == "CMA-ES" else 1
     score = PlanScore(
-        case, list(steps), aims, args.stages or ["*"], parse_moments_per_stage(args.moments), args.forces, width
+        case, list(steps), aims, args.stages or ["*"], parse_margin_evaluation_counts(args.moments), args.forces, width
     )
-    seen, others = (with_draw_axis(*tuning.draw_beliefs(exp, exp.study.seed + k)) for k in (0, 1))
+    seen, others = (broadcast_over_draws(*tuning.draw_beliefs(exp, exp.study.seed + k)) for k in (0, 1))
     first = np.array([numbers[path] for path in steps])
     if args.check:
         print(
@@ -87,23 +87,23 @@ def tune_plan(args: argparse.Namespace) -> int:
             )
         )
         return DONE
-    sizes = select_influential_sizes(exp, score, first, seen, sizes) if sizes else {}
+    sizes = select_influential_parameters(exp, score, first, seen, sizes) if sizes else {}
     how = {"overrides": sorted(overrides), "free": steps, "stages": args.stages, "need": args.need,
            "moments": args.moments, "forces": args.forces, "seed": args.seed, "population": args.population,
            "follow": args.follow, "gradients": args.gradients, "generations": args.generations,
-           "config": store.digest(exp.values), "code": search_version()}  # fmt: skip
+           "config": store.digest_values(exp.values), "code": plan_search_version()}  # fmt: skip
     where.parent.mkdir(parents=True, exist_ok=True)
     log = where.with_name(f"{where.name}.log")
-    tuning.resume_log(log, how)  # refuses before what is slow
-    best, slopes = search_and_round(score, seen, first, sizes, how, log)
-    after = {name: best + relative_changes(draws, sizes) @ slopes.T
+    tuning.resume_search_log(log, how)  # refuses before what is slow
+    best, slopes = search_rounded_plan_numbers(score, seen, first, sizes, how, log)
+    after = {name: best + relative_size_changes(draws, sizes) @ slopes.T
              for name, draws in zip(DRAW_LABELS, (seen, others), strict=True)}  # fmt: skip
     left = {f"{name} {when}": score.margins(at, draws)
             for name, draws in zip(DRAW_LABELS, (seen, others), strict=True)
             for when, at in (("before", first), ("after", after[name]))}  # fmt: skip
     ends = (left[f"{DRAW_LABELS[0]} {when}"] for when in ("before", "after"))
     was, now = (
-        float(tuning.cost_of_draws(score.deficits(x)).mean() if args.follow else score.worst_draw_score(x))
+        float(tuning.margin_deficit_cost(score.margin_deficits(x)).mean() if args.follow else score.worst_draw_score(x))
         for x in ends
     )
     told = margins_table(score, left)
@@ -117,8 +117,12 @@ def tune_plan(args: argparse.Namespace) -> int:
     found = dict(zip(steps, best.tolist(), strict=True))
     settings = [f"{path}={found.pop(path):g}" for path in own if path in found]
     head += ["to be run with " + " ".join(settings)] if settings else []
-    content = add_size_slopes(tuned_plan_content(case, found), steps, slopes, sizes)
-    searched = {ORIGIN: BY_COMMAND, COMMAND: f"sweep tune {shlex.join(args.words)}", RANGES: searched_ranges(exp)}
+    content = add_parameter_slopes(tuned_plan_content(case, found), steps, slopes, sizes)
+    searched = {
+        ORIGIN: BY_COMMAND,
+        COMMAND: f"sweep tune {shlex.join(args.words)}",
+        RANGES: drawn_parameter_ranges(exp),
+    }
     content = {SEARCHED: searched, **content}
     write_atomically(where, format_plan_file(case, content, head).encode())
     if settings:
@@ -132,7 +136,7 @@ def tune_plan(args: argparse.Namespace) -> int:
     return DONE
 
 
-def nominal_drawn_sizes(exp: Experiment) -> dict[str, float]:
+def nominal_drawn_parameters(exp: Experiment) -> dict[str, float]:
     """Return the nominal values of those sizes of robot and obstacle that the study draws at random.
 
     Numbers follow relative changes, so sizes of zero are left out. Raises `InputError` where no size is drawn.
@@ -151,7 +155,7 @@ def nominal_drawn_sizes(exp: Experiment) -> dict[str, float]:
     return found
 
 
-def searched_ranges(exp: Experiment) -> dict[str, list[float]]:
+def drawn_parameter_ranges(exp: Experiment) -> dict[str, list[float]]:
     """Return the least and the largest value of each size of robot and obstacle in the draws of a search, by path."""
     points = make_points(exp.study, exp.system, exp.settings)
     columns = {
@@ -163,7 +167,7 @@ def searched_ranges(exp: Experiment) -> dict[str, list[float]]:
     return {path: [float(f"{end(columns[path]):.6g}") for end in (min, max)] for path in sizes}
 
 
-def select_influential_sizes(
+def select_influential_parameters(
     exp: Experiment, score: PlanScore, numbers: np.ndarray, draws: Case, sizes: Mapping[str, float]
 ) -> dict[str, float]:
     """Select the sizes of robot and obstacle whose drawn range changes some margin of the plan.
@@ -171,17 +175,17 @@ def select_influential_sizes(
     Slopes along other sizes, such as masses without forces, would be chance and extrapolate badly. Raises `InputError`
     where no size matters.
     """
-    off = relative_changes(draws, sizes)
+    off = relative_size_changes(draws, sizes)
     alone = 1 + np.vstack([np.diag(np.abs(off).max(axis=0)), np.zeros((max(1, len(off) - len(sizes)), len(sizes)))])
     tried = exp.system.make_world_and_belief({path: at * alone[:, k] for k, (path, at) in enumerate(sizes.items())})[1]
-    lack = np.asarray(score.deficits(score.margins(numbers, with_draw_axis(tried, len(alone)))))
+    lack = np.asarray(score.margin_deficits(score.margins(numbers, broadcast_over_draws(tried, len(alone)))))
     moved = ~np.isclose(lack, lack[-1], 0.0, EQUAL_DEFICIT, equal_nan=True).all(axis=1)
     if not (found := {path: at for (path, at), feels in zip(sizes.items(), moved, strict=False) if feels}):
         raise InputError(f"--follow is not allowed: no margin depends on {', '.join(sizes)}")
     return found
 
 
-def search_and_round(
+def search_rounded_plan_numbers(
     score: PlanScore, draws: Case, first: np.ndarray, sizes: Mapping[str, float], how: Mapping[str, Any], log: Path
 ) -> tuple[np.ndarray, np.ndarray]:
     """Search for the best plan numbers with a progress bar; return rounded numbers (n,), and their slopes (n, k) by k
@@ -196,11 +200,11 @@ def search_and_round(
             shown.update(task, completed=done, description=f"score {least:.4g}")
 
         if how["follow"]:
-            off = relative_changes(draws, sizes)
-            score.cap_aims(first, with_draw_axis(score.case, len(off)))
-            slopes = tuning.fit_size_slopes(
-                lambda moved: score.deficits(score.margins(first + moved, draws)),
-                lambda moved: score.deficit_slopes(first + moved, draws, scale),
+            off = relative_size_changes(draws, sizes)
+            score.cap_aims_at_margins(first, broadcast_over_draws(score.case, len(off)))
+            slopes = tuning.fit_plan_slopes_over_sizes(
+                lambda moved: score.margin_deficits(score.margins(first + moved, draws)),
+                lambda moved: score.deficit_finite_differences(first + moved, draws, scale),
                 scale,
                 off,
                 how,
@@ -211,7 +215,7 @@ def search_and_round(
             return first, np.where(slight, 0.0, np.round(slopes, SLOPE_DIGITS))
         if how["gradients"]:
             best = tuning.search_by_gradients(
-                lambda numbers: score.deficit_gradients(numbers, draws), first, scale, how, log, tell
+                lambda numbers: score.squared_deficit_gradients(numbers, draws), first, scale, how, log, tell
             )
         else:
             best, _ = tuning.search_by_cma(
@@ -252,7 +256,7 @@ def parse_margin_aim(text: str) -> MarginAim:
     raise InputError(f"--need = {text} is not allowed: MARGIN=VALUE or MARGIN@STAGES=VALUE, a number")
 
 
-def parse_moments_per_stage(texts: Iterable[str]) -> list[tuple[str, int]]:
+def parse_margin_evaluation_counts(texts: Iterable[str]) -> list[tuple[str, int]]:
     """Parse patterns of stage names with the number of moments at which margins are evaluated; the last matching
     pattern counts.
 
@@ -288,11 +292,13 @@ def tuned_plan_content(case: Case, changes: Mapping[str, float]) -> Content:
     formulas = plan_table.formula_values(case)
     for path, value in changes.items():
         if round(value - formulas.get(path, math.inf), NUMBER_DIGITS):
-            case = replace(case, plan=case.plan.with_value(path, value, formulas))
+            case = replace(case, plan=case.plan.replace_number(path, value, formulas))
     return plan_table.plan_content(case)
 
 
-def add_size_slopes(content: Content, paths: Iterable[str], slopes: np.ndarray, sizes: Mapping[str, float]) -> Content:
+def add_parameter_slopes(
+    content: Content, paths: Iterable[str], slopes: np.ndarray, sizes: Mapping[str, float]
+) -> Content:
     """Add to a plan's content by how much each of its numbers changes with each size of robot or obstacle."""
     if not sizes:
         return content

@@ -40,7 +40,7 @@ def play_in_viewer(trace: Trace) -> None:
             time.sleep(LOOP_PAUSE_S)
 
 
-def file_names(folder: str) -> list[str]:
+def list_file_names(folder: str) -> list[str]:
     """Return the names of the files in a folder; empty if the folder does not exist."""
     return os.listdir(folder) if os.path.isdir(folder) else []
 
@@ -48,27 +48,27 @@ def file_names(folder: str) -> list[str]:
 def record_traces(target: list[str]) -> Iterator[Trace]:
     """Simulate the rollouts that the user names and record traces at a frame rate for smooth playback. Raises
     `InputError`."""
-    if store.STUDY_FILE in file_names(target[0]):
-        found, at = find_row(*parse_folder_and_point(target))
+    if store.STUDY_FILE in list_file_names(target[0]):
+        found, at = find_point_row(*parse_folder_and_point(target))
         device_choice.choose_device_for_folder(found.folder)
-        again = replays.simulate_again(
+        again = replays.resimulate_rows(
             found.exp, found.rows.iloc[[at]], store.read_points(found.folder), VIEWER_FRAME_RATE
         )
     else:
         exp, planned = compose_single_rollout(target)
-        again = replays.simulate_again(exp, planned, planned, VIEWER_FRAME_RATE)
+        again = replays.resimulate_rows(exp, planned, planned, VIEWER_FRAME_RATE)
     return (trace for _, trace, _ in again)
 
 
-def open_study(target: list[str], beside: list[str]) -> tuple[Results, list[ShownReplay]]:
+def read_results_and_replays(target: list[str], beside: list[str]) -> tuple[Results, list[ShownReplay]]:
     """Read a study's results and its replays, beginning with the rollouts that the user names. Raises `InputError`."""
     folder, point = parse_folder_and_point(target)
-    found, first = find_row(folder, point)
+    found, first = find_point_row(folder, point)
     wanted = [(found, first, "")]
     if beside:
-        other = beside[0] if store.STUDY_FILE in file_names(beside[0]) else folder
+        other = beside[0] if store.STUDY_FILE in list_file_names(beside[0]) else folder
         named = beside[-1] if len(beside) > 1 or other == folder else str(found.rows["point_id"].iloc[first])
-        wanted.append((*find_row(other, named), "" if other == folder else str(other)))
+        wanted.append((*find_point_row(other, named), "" if other == folder else str(other)))
     shown = []
     for of, at, title in wanted:
         row = of.rows.iloc[at]
@@ -93,7 +93,7 @@ def parse_folder_and_point(target: list[str]) -> tuple[str, str]:
     return target[0], target[1]
 
 
-def find_row(folder: str, point: str) -> tuple[Results, int]:
+def find_point_row(folder: str, point: str) -> tuple[Results, int]:
     """Read a results folder, and find the row index of a point in it. Raises `InputError`."""
     found = results.read_results(Path(folder))
     row = store.find_row(store.read_rows(Path(folder)), point, Path(folder))
@@ -108,7 +108,7 @@ def simulate_configuration(overrides: list[str], beside: list[str]) -> tuple[Res
         one, planned = compose_single_rollout(words)
         exp = exp or one
         with show_elapsed_time(f"simulating {' '.join(words)}"):
-            found = next(replays.simulate_again(one, planned, planned), None)
+            found = next(replays.resimulate_rows(one, planned, planned), None)
         if found is None:
             raise InputError(f"{one.scenario} cannot be shown")
         row, trace, labels = found
@@ -144,4 +144,4 @@ def compose_single_rollout(overrides: list[str]) -> tuple[Experiment, pd.DataFra
         raise InputError(f"{exp.study.name} is a study: run it, then sweep view DIR ID shows one of its rows")
     device_choice.choose_device_for_run(exp)
     exp = replace(exp, settings=replace(exp.settings, width=exp.settings.width or 1))
-    return exp, batches.assign_batches(exp, pd.DataFrame(), runner.select_points(exp))
+    return exp, batches.assign_batches(exp, pd.DataFrame(), runner.select_points_to_simulate(exp))

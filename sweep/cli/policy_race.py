@@ -10,9 +10,9 @@ import pandas as pd
 
 from sweep.analysis import compare, sampling_units
 from sweep.analysis.compare import BINS_PER_AXIS, SECOND_RUN_MARK
-from sweep.analysis.league import LeagueRows, Race
+from sweep.analysis.league import PairedPolicyOutcomes, PolicyRace
 from sweep.analysis.stats import bin_values
-from sweep.cli.anytime import grow_folder, next_draw_count
+from sweep.cli.anytime import next_draw_count, simulate_more_draws
 from sweep.cli.rows import read_matching_rows
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError
@@ -20,10 +20,10 @@ from sweep.core.expressions import find_column
 from sweep.report.league import CAUSE, WON, format_race
 from sweep.runs import extend, results
 from sweep.study.columns import LABEL_COLUMNS
-from sweep.study.study import identity_columns, parameter_columns
+from sweep.study.study import parameter_columns, rollout_id_columns
 
 
-def read_league(args: argparse.Namespace) -> tuple[LeagueRows, str, Experiment]:
+def read_policy_outcomes(args: argparse.Namespace) -> tuple[PairedPolicyOutcomes, str, Experiment]:
     """Read the rows of all policies that `sweep league` compares, and pair those of equal points.
 
     Args:
@@ -35,15 +35,15 @@ def read_league(args: argparse.Namespace) -> tuple[LeagueRows, str, Experiment]:
     Raises:
         InputError: There are fewer than two policies, or their rows do not match.
     """
-    exp, rows, key = read_policies(args)
-    paired = pair_policies(rows, key)
-    league = collect_outcomes(paired, tuple(rows), exp)
+    exp, rows, key = read_policy_rows(args)
+    paired = pair_policy_rows(rows, key)
+    league = collect_valid_policy_outcomes(paired, tuple(rows), exp)
     kind = sampling_units.independent_unit(exp.study)
-    unit = "draws" if kind.is_even else kind.plural  # see `sampling_units.pair_units`
+    unit = "draws" if kind.is_even else kind.plural  # see `sampling_units.paired_comparison_unit_ids`
     return league, unit, exp
 
 
-def bin_conditions(league: LeagueRows, by: list[str]) -> tuple[LeagueRows, list[str]]:
+def bin_conditions(league: PairedPolicyOutcomes, by: list[str]) -> tuple[PairedPolicyOutcomes, list[str]]:
     """Cut the columns whose values are conditions of a league into bins.
 
     Args:
@@ -61,7 +61,7 @@ def bin_conditions(league: LeagueRows, by: list[str]) -> tuple[LeagueRows, list[
     return replace(league, conditions=league.conditions.assign(**bins)), columns
 
 
-def read_policies(args: argparse.Namespace) -> tuple[Experiment, dict[str, pd.DataFrame], list[str] | None]:
+def read_policy_rows(args: argparse.Namespace) -> tuple[Experiment, dict[str, pd.DataFrame], list[str] | None]:
     """Read the rows of each policy: from a folder for each, or by the values of an axis in one folder.
 
     Returns:
@@ -75,9 +75,9 @@ def read_policies(args: argparse.Namespace) -> tuple[Experiment, dict[str, pd.Da
     if not args.axis:
         if len(args.dirs) < 2:
             raise InputError("DIR: give the folder of each policy, or one folder with --axis")
-        names = name_folders(args.dirs)
+        names = shortest_distinct_folder_names(args.dirs)
         read = (read_matching_rows(folder, args.where) for folder in args.dirs)
-        return exp, dict(zip(names, map(needed_columns, read), strict=True)), None
+        return exp, dict(zip(names, map(select_point_and_outcome_columns, read), strict=True)), None
     if len(args.dirs) > 1:
         raise InputError("DIR: --axis ranks the values of an axis of one folder")
     rows = read_matching_rows(args.dirs[0], args.where)
@@ -87,30 +87,30 @@ def read_policies(args: argparse.Namespace) -> tuple[Experiment, dict[str, pd.Da
     groups = rows.groupby(column, observed=True, sort=False)
     fixed = [c for c in parameter_columns(rows) if groups[c].nunique().max() <= 1]  # that go with the policy
     key = [c for c in parameter_columns(rows) if c not in fixed or rows[c].nunique() == 1]
-    parts = {format_policy(value): needed_columns(part) for value, part in groups}
+    parts = {format_policy_name(value): select_point_and_outcome_columns(part) for value, part in groups}
     return exp, parts, [*key, "replicate"]
 
 
-def format_policy(value: object) -> str:
+def format_policy_name(value: object) -> str:
     """Write a value of an axis as the name of a policy."""
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def name_folders(folders: Sequence[Path]) -> list[str]:
+def shortest_distinct_folder_names(folders: Sequence[Path]) -> list[str]:
     """Return the shortest names that tell the folders apart."""
     names = [folder.name for folder in folders]
     return names if len(set(names)) == len(names) else [str(folder) for folder in folders]
 
 
-def needed_columns(rows: pd.DataFrame) -> pd.DataFrame:
+def select_point_and_outcome_columns(rows: pd.DataFrame) -> pd.DataFrame:
     """Return the rows with only the columns that identify them (point, parameters) and hold their outcome."""
-    known = {*identity_columns(rows.columns), *parameter_columns(rows), *LABEL_COLUMNS, "replicate"}
+    known = {*rollout_id_columns(rows.columns), *parameter_columns(rows), *LABEL_COLUMNS, "replicate"}
     kept = rows[[c for c in rows if c in known]]
     kept.attrs.update(rows.attrs)
     return kept
 
 
-def pair_policies(rows: dict[str, pd.DataFrame], key: list[str] | None) -> pd.DataFrame:
+def pair_policy_rows(rows: dict[str, pd.DataFrame], key: list[str] | None) -> pd.DataFrame:
     """Return the rows of the first policy that all others have, too, with the outcome and cause of each policy.
 
     Args:
@@ -135,11 +135,13 @@ def pair_policies(rows: dict[str, pd.DataFrame], key: list[str] | None) -> pd.Da
     return joined
 
 
-def collect_outcomes(paired: pd.DataFrame, policies: tuple[str, ...], exp: Experiment) -> LeagueRows:
+def collect_valid_policy_outcomes(
+    paired: pd.DataFrame, policies: tuple[str, ...], exp: Experiment
+) -> PairedPolicyOutcomes:
     """Return the outcomes of all policies at the points where the rollout of every policy is valid.
 
     Args:
-        paired: Rows of `pair_policies`.
+        paired: Rows of `pair_policy_rows`.
         policies: Names of the policies.
         exp: Experiment of the first one.
     """
@@ -148,8 +150,8 @@ def collect_outcomes(paired: pd.DataFrame, policies: tuple[str, ...], exp: Exper
     valid = ~invalid.any(axis=1)
     if not valid.any():
         raise InputError("no point is valid for all policies")
-    unit = sampling_units.pair_units(paired, exp)
-    return LeagueRows(
+    unit = sampling_units.paired_comparison_unit_ids(paired, exp)
+    return PairedPolicyOutcomes(
         policies,
         (outcomes == "success")[valid],
         None if unit is None else unit[valid],
@@ -168,15 +170,15 @@ def race_policies(args: argparse.Namespace) -> str:
         raise InputError(f"--most = {args.most} is not allowed: at least 1")
     if args.axis:
         raise InputError("--axis is not allowed with --anytime, which needs a folder for each policy")
-    exp, rows, _ = read_policies(args)
+    exp, rows, _ = read_policy_rows(args)
     folders, names = list(args.dirs), list(rows)
     exps = [exp, *(results.load_experiment(folder) for folder in folders[1:])]
-    pair_policies(rows, None)  # which refuses policies of different points
+    pair_policy_rows(rows, None)  # which refuses policies of different points
     most = 0 if args.most is None else args.most  # draws
     while True:
-        shares = unit_shares(list(rows.values()), exps)
-        race = Race(len(names), args.level)
-        race.add_units(shares)
+        shares = unit_success_rates(list(rows.values()), exps)
+        race = PolicyRace(len(names), args.level)
+        race.add_unit_success_rates(shares)
         is_open = race.undecided_policies(args.best)
         draws = [extend.count_draws(one) for one in exps]
         behind = [k for k in np.flatnonzero(is_open) if draws[k] < most]
@@ -190,11 +192,11 @@ def race_policies(args: argparse.Namespace) -> str:
         number = min(next_draw_count(exps[least], folders[least]), most)
         for k in behind:
             if draws[k] < number:
-                exps[k] = grow_folder(exps[k], folders[k], number)
-                rows[names[k]] = needed_columns(read_matching_rows(folders[k], args.where))
+                exps[k] = simulate_more_draws(exps[k], folders[k], number)
+                rows[names[k]] = select_point_and_outcome_columns(read_matching_rows(folders[k], args.where))
 
 
-def unit_shares(rows: list[pd.DataFrame], exps: list[Experiment]) -> np.ndarray:
+def unit_success_rates(rows: list[pd.DataFrame], exps: list[Experiment]) -> np.ndarray:
     """Return the success rate of each policy in each independent unit (group of dependent rows).
 
     Args:
@@ -209,7 +211,7 @@ def unit_shares(rows: list[pd.DataFrame], exps: list[Experiment]) -> np.ndarray:
     """
     parts = []
     for one, exp in zip(rows, exps, strict=True):
-        unit = sampling_units.pair_units(one, exp)
+        unit = sampling_units.paired_comparison_unit_ids(one, exp)
         if unit is None:
             raise InputError("--anytime needs random draws, or noisy replicates of one point")
         won = (one["outcome"] == "success").astype(float)

@@ -8,7 +8,7 @@ import pandas as pd
 
 from sweep.analysis import trials as analysis
 from sweep.analysis.intervals import CONFIDENCE_LEVEL
-from sweep.analysis.sampling_units import draw_ids, has_draws
+from sweep.analysis.sampling_units import draw_ids, has_random_draws
 from sweep.analysis.stats import format_percent
 from sweep.core.distinct_values import has_several_values
 from sweep.core.errors import InputError
@@ -17,7 +17,7 @@ from sweep.core.plot_style import COLUMN_WIDTH_IN, new_figure, save_figure
 from sweep.report.tables import markdown_table
 from sweep.runs import results, store
 from sweep.study.importance_sampling import effective_sample_size
-from sweep.study.study import name_axes, parameter_columns
+from sweep.study.study import attach_axis_names, parameter_columns
 
 OUTCOMES = {"success": True, "1": True, "true": True, "failure": False, "0": False, "false": False}
 MIN_EFFECTIVE_DRAWS = 30  # below which updated beliefs are called unreliable
@@ -25,11 +25,11 @@ MATCH_TOLERANCE = 1e-9  # relative, of numbers of conditions that are equal
 
 
 @dataclass(frozen=True)
-class TrialsAnswer:
+class TrialsComparison:
     """Result of `sweep trials`: real trials with predicted success rates, their calibration, and updated beliefs."""
 
     trials: pd.DataFrame  # the file's columns, `predicted` and `rows`
-    calibration: analysis.Calibration
+    calibration: analysis.PredictionCalibration
     curve: pd.DataFrame
     conditions: pd.DataFrame  # rates by condition
     correlation: tuple[float, float, float]
@@ -68,7 +68,7 @@ def read_trials(file: Path, rows: pd.DataFrame) -> tuple[pd.DataFrame, list[str]
     return table.rename(columns=names).assign(outcome=words.map(OUTCOMES).astype(bool)), [*names.values()]
 
 
-def match_condition(rows: pd.DataFrame, condition: pd.Series) -> np.ndarray:
+def condition_row_mask(rows: pd.DataFrame, condition: pd.Series) -> np.ndarray:
     """Return which simulated rows (n,) have the parameter values of a condition.
 
     Args:
@@ -84,7 +84,7 @@ def match_condition(rows: pd.DataFrame, condition: pd.Series) -> np.ndarray:
     return here
 
 
-def compare_trials(file: Path, folder: Path, error_rate: float) -> TrialsAnswer:
+def compare_trials_with_simulation(file: Path, folder: Path, error_rate: float) -> TrialsComparison:
     """Predict each real trial from simulated rows of equal condition, and weigh parameter draws by the outcomes.
 
     Args:
@@ -96,7 +96,7 @@ def compare_trials(file: Path, folder: Path, error_rate: float) -> TrialsAnswer:
         InputError: The file is not allowed, or a trial has a condition that was not simulated.
     """
     exp = results.load_experiment(folder)
-    rows = name_axes(store.read_rows(folder), exp.study.axes)
+    rows = attach_axis_names(store.read_rows(folder), exp.study.axes)
     table, columns = read_trials(file, rows)
     valid = rows[rows["outcome"] != "invalid"].reset_index(drop=True)
     success, draws = (valid["outcome"] == "success").to_numpy(), draw_ids(valid, exp)
@@ -105,7 +105,7 @@ def compare_trials(file: Path, folder: Path, error_rate: float) -> TrialsAnswer:
     simulated = np.full((len(known), len(table)), np.nan)
     for values, places in table.groupby(columns, observed=True).indices.items():
         condition = pd.Series(dict(zip(columns, values if isinstance(values, tuple) else (values,), strict=True)))
-        here = match_condition(valid, condition)
+        here = condition_row_mask(valid, condition)
         if not here.any():
             words = ", ".join(f"{name} = {value}" for name, value in condition.items())
             raise InputError(f"{file}: {folder} has no valid row with {words}")
@@ -122,23 +122,23 @@ def compare_trials(file: Path, folder: Path, error_rate: float) -> TrialsAnswer:
     unknown = [c for c in unknown if has_several_values(rows[c])]
     complete = ~np.isnan(simulated).any(axis=1)
     beliefs, effective = pd.DataFrame(), float("nan")
-    if has_draws(exp.study) and exp.study.design.follows_distributions and unknown and complete.sum() > 1:
-        weights = analysis.belief_weights(simulated[complete], won, error_rate)
+    if has_random_draws(exp.study) and exp.study.design.follows_distributions and unknown and complete.sum() > 1:
+        weights = analysis.draw_likelihood_weights(simulated[complete], won, error_rate)
         values = valid.groupby(draws)[unknown].first().loc[known[complete]]
-        beliefs, effective = analysis.belief_table(values, weights), effective_sample_size(weights)
-    return TrialsAnswer(
+        beliefs, effective = analysis.prior_posterior_table(values, weights), effective_sample_size(weights)
+    return TrialsComparison(
         table.assign(predicted=predicted, rows=counts),
-        analysis.calibration(predicted, won),
+        analysis.assess_prediction_calibration(predicted, won),
         analysis.reliability_curve(predicted, won),
         conditions,
-        analysis.condition_correlation(conditions["predicted"].to_numpy(), conditions["share"].to_numpy(float)),
+        analysis.success_rate_correlation(conditions["predicted"].to_numpy(), conditions["share"].to_numpy(float)),
         beliefs,
         effective,
         int(complete.sum()),
     )
 
 
-def format_trials(found: TrialsAnswer) -> str:
+def format_trials_comparison(found: TrialsComparison) -> str:
     """Format the comparison of real trials with their predictions as Markdown."""
     own = found.calibration
     judged = (
@@ -175,7 +175,7 @@ def format_trials(found: TrialsAnswer) -> str:
     return "\n".join(lines) + "\n"
 
 
-def save_picture(found: TrialsAnswer, path: Path) -> None:
+def save_reliability_plot(found: TrialsComparison, path: Path) -> None:
     """Draw the reliability curve: observed against predicted success rates."""
     figure = new_figure(COLUMN_WIDTH_IN, COLUMN_WIDTH_IN)
     ax = figure.add_subplot()

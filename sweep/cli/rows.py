@@ -23,12 +23,12 @@ def read_matching_rows(folder: Path, condition: str | None, columns: Sequence[st
     """
     from sweep.core.expressions import condition_columns, condition_mask
     from sweep.runs import results, store
-    from sweep.study.study import name_axes
+    from sweep.study.study import attach_axis_names
 
     exp = results.load_experiment(folder)
     if columns is not None:
-        columns = [*columns, *condition_columns(results.empty_rows(folder, exp), condition)]
-    rows = name_axes(store.read_rows(folder, columns), exp.study.axes)
+        columns = [*columns, *condition_columns(results.make_empty_row_table(folder, exp), condition)]
+    rows = attach_axis_names(store.read_rows(folder, columns), exp.study.axes)
     found = rows[condition_mask(rows, condition)].reset_index(drop=True) if condition else rows
     if len(found) < len(rows) and found.empty:
         warn_of_no_match(folder, condition, len(rows))

@@ -13,8 +13,8 @@ from sweep.core.progress import (
     compilation_seconds,
     format_last_duration,
     format_running_parts,
-    remember_duration,
     show_elapsed_time,
+    store_step_duration,
 )
 from sweep.runs import runner
 from sweep.study.clusters import WorkerStatus
@@ -28,7 +28,7 @@ class RemainingTimeEstimate:
         self.start = self.last = time.perf_counter()
         self._compiled, self._first = compilation_seconds(), (0, 0.0)
 
-    def add_finished(self, rollouts: int) -> None:
+    def add_finished_rollouts(self, rollouts: int) -> None:
         """Add a number of finished rollouts to the estimate."""
         self.done, self.last = self.done + rollouts, time.perf_counter()
         if not self._first[0]:
@@ -51,7 +51,7 @@ class RemainingTimeEstimate:
         return "-:-- left" if seconds is None else f"{int(seconds) // 60}:{int(seconds) % 60:02d} left"
 
 
-class LiveColumn(ProgressColumn):
+class LiveProgressColumn(ProgressColumn):
     """Column of a progress bar whose text is updated every second."""
 
     max_refresh = 1.0  # s
@@ -76,10 +76,10 @@ def report_progress(
     # numbers first: a narrow terminal cuts the end of the line off
     columns = (
         MofNCompleteColumn(),
-        LiveColumn(pace.remaining_text),
+        LiveProgressColumn(pace.remaining_text),
         TimeElapsedColumn(),
         BarColumn(bar_width=10),
-        LiveColumn(lambda: f"{name}: {note()}"),
+        LiveProgressColumn(lambda: f"{name}: {note()}"),
     )
 
     def note() -> str:
@@ -99,8 +99,8 @@ def report_progress(
         def report(rows: pd.DataFrame) -> None:
             nonlocal done
             if not done:
-                remember_duration(program, time.perf_counter() - start)
-            pace.add_finished(len(rows))
+                store_step_duration(program, time.perf_counter() - start)
+            pace.add_finished_rollouts(len(rows))
             done += len(rows)
             for outcome in counts:
                 counts[outcome] += int((rows["outcome"] == outcome).sum())

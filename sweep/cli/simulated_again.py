@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from sweep.cli.exits import DONE, UNEXPECTED
-from sweep.contract.engine import same_bits
+from sweep.contract.engine import is_bitwise_equal
 from sweep.core.errors import InputError
 from sweep.core.progress import show_elapsed_time
 from sweep.report import replays
@@ -39,12 +39,12 @@ def report_resimulation(results: Results, number: int, seed: int = 0, tolerance:
     rows = results.rows.sample(number, random_state=seed)
     lines: list[dict[str, Any]] = []
     with show_elapsed_time(lambda: f"{len(lines)} of {number} rollouts simulated again"):
-        for row, trace, labels in replays.simulate_again(results.exp, rows, store.read_points(results.folder)):
-            lines.append(compare_row(row, trace.metrics, labels, tolerance))
+        for row, trace, labels in replays.resimulate_rows(results.exp, rows, store.read_points(results.folder)):
+            lines.append(compare_resimulated_row(row, trace.metrics, labels, tolerance))
     if not lines:
         raise InputError(f"none of {number} rollouts of {results.folder} can be simulated again")
     table = pd.DataFrame(lines)
-    print(format_summary(table, tolerance))
+    print(summarize_resimulated_rows(table, tolerance))
     if len(table) < number:
         print(f"{number - len(table)} rollouts are not compared: no replay of them can be made here")
     if others := int((~table["same_run"]).sum()):
@@ -64,7 +64,7 @@ def report_resimulation(results: Results, number: int, seed: int = 0, tolerance:
     return UNEXPECTED if (table["flips"] | (table["changed"] != "")).any() else DONE
 
 
-def compare_row(
+def compare_resimulated_row(
     row: pd.Series, metrics: Mapping[str, Any], labels: Mapping[str, Any], tolerance: float
 ) -> dict[str, Any]:
     """Compare metrics and outcome of a stored row with those of the same rollout simulated again.
@@ -86,7 +86,7 @@ def compare_row(
     if same_run:  # then both have the same columns
         names = [*dict.fromkeys([*names, *metrics])]
     both = {name: (float(row.get(name, np.nan)), float(metrics.get(name, np.nan))) for name in names}
-    unequal = {name: values for name, values in both.items() if not same_bits(*values)}
+    unequal = {name: values for name, values in both.items() if not is_bitwise_equal(*values)}
     changed = [
         f"{name} {_format_pair(a, b)}"
         for name, (a, b) in unequal.items()
@@ -112,7 +112,7 @@ def _format_pair(there: float, here: float) -> str:
     return f"{there_text} there, {here_text} here"
 
 
-def format_summary(table: pd.DataFrame, tolerance: float) -> str:
+def summarize_resimulated_rows(table: pd.DataFrame, tolerance: float) -> str:
     """Summarise in a sentence how many rows simulated again are equal to the stored ones and how many differ."""
     equal, changed = int(table["equal"].sum()), int((table["changed"] != "").sum())
     return (

@@ -35,16 +35,16 @@ from sweep.config import hydra_sources
 from sweep.contract.engine_settings import EngineSettings
 from sweep.contract.system import Limits, System
 from sweep.core import project
-from sweep.core.errors import InputError, require_choice, suggest
+from sweep.core.errors import InputError, format_name_suggestion, require_choice
 from sweep.core.groups import GROUPS
-from sweep.core.parameters import build_by_kind, check_value
-from sweep.core.yaml_check import ambiguous_number
+from sweep.core.parameters import build_instance_by_kind, convert_and_check_value
+from sweep.core.yaml_check import explain_ambiguous_number
 from sweep.study import design_kinds, designs
 from sweep.study.clusters import Cluster
 from sweep.study.columns import LABEL_COLUMNS, PLACEMENT_COLUMNS, TIMING_COLUMNS, VERDICT_COLUMNS
-from sweep.study.designs import rename_on_to_side
+from sweep.study.designs import rename_legacy_side_keys
 from sweep.study.distributions import require_known_keys
-from sweep.study.study import ScenarioSchema, Study, StudySchema, check_keep, expand_keep
+from sweep.study.study import ScenarioSchema, Study, StudySchema, check_kept_time_series, expand_kept_time_series
 
 NON_FINITE_WORD = re.compile(r"(?<=[=\[:, ])[-+]?\.(nan|inf)(?=[\]}, ]|$)", re.IGNORECASE)  # of YAML, to Hydra a word
 # whole numbers without quotes in the value of an override
@@ -123,7 +123,7 @@ def add_user_classes(modules: tuple[ModuleType, ...]) -> None:
     """Add the obstacles, manoeuvres and designs of user modules to the built-in ones. Raises `InputError`."""
     tables = {name: group.class_name for name, group in GROUPS.items() if group.in_case and group.has_kinds}
     for module in modules:
-        design_kinds.add_designs(module)
+        design_kinds.register_designs(module)
         for group, name in tables.items():
             if not isinstance(own := getattr(module, name, {}), Mapping):
                 raise InputError(f"module {module.__name__}: {name} = {own} is not allowed: classes by kind")
@@ -181,7 +181,7 @@ def check_overrides(overrides: list[str]) -> None:
         if found := NON_FINITE_WORD.search(text):
             raise InputError(f"{text.lstrip('+~').partition('=')[0]} = {found[0]} is not allowed: a finite number")
         for word in WHOLE_NUMBER.findall(text.partition("=")[2]):
-            if why := ambiguous_number(word):
+            if why := explain_ambiguous_number(word):
                 raise InputError(f"{text.lstrip('+~').partition('=')[0]} = {word} is not allowed: {why}")
     chosen = [text for text in overrides if text.partition("=")[0].lstrip("+") in GROUPS]
     for one in OverridesParser.create().parse_overrides(chosen):
@@ -213,7 +213,7 @@ def resolve_interpolations(config: DictConfig) -> dict[str, Any]:
     if not isinstance(values.get("study"), dict) or not isinstance(values["study"].get("axes"), dict):
         return values  # which `experiment` refuses
     designs.refuse_ignored_settings(values["study"])
-    axes = rename_on_to_side(values["study"]["axes"])
+    axes = rename_legacy_side_keys(values["study"]["axes"])
     if axes != values["study"]["axes"]:
         print("sweep: note: the key `on` of an axis is now called `side`", file=sys.stderr)
     return {**values, "study": {**values["study"], "axes": axes}}
@@ -248,7 +248,7 @@ def build_experiment(values: Mapping[str, Any]) -> Experiment:
         InputError: A key or a value is not allowed.
     """
     add_user_classes(project.import_user_modules())
-    kind = systems.find_kind_by_keys(values)
+    kind = systems.find_kind_by_config_keys(values)
     allowed = (*systems.COMMON_KEYS, *kind.keys)
     for key in values:
         require_choice(key, allowed, str(key))
@@ -257,10 +257,10 @@ def build_experiment(values: Mapping[str, Any]) -> Experiment:
     for group in (key for key in allowed if key != "out"):
         if not isinstance(said := values.get(group), Mapping) and (said or group not in kind.optional_keys):
             raise InputError(f"{group} = {said} is not allowed: `sweep list` shows the choices")
-    system, settings, limits, told = kind.build_nominal(values, CLASSES_BY_KIND)
+    system, settings, limits, told = kind.build_nominal_system(values, CLASSES_BY_KIND)
     if taken := {*PLACEMENT_COLUMNS, *LABEL_COLUMNS, *VERDICT_COLUMNS, *TIMING_COLUMNS} & {*system.metric_names}:
         raise InputError(f"a metric called {min(taken)} is not allowed: all rows have a column of this name")
-    cluster = build_by_kind(CLASSES_BY_KIND["cluster"], values["cluster"], "cluster")
+    cluster = build_instance_by_kind(CLASSES_BY_KIND["cluster"], values["cluster"], "cluster")
     scenario = require_known_keys("scenario", values["scenario"], _names(ScenarioSchema))
     asked = require_known_keys("study", values["study"], _names(StudySchema))
     chosen = {**dataclasses.asdict(StudySchema()), **asked}  # rows of before a key was there had its default
@@ -268,10 +268,10 @@ def build_experiment(values: Mapping[str, Any]) -> Experiment:
     if single:
         chosen = {**chosen, "expect": scenario["expect"]}
     if isinstance(chosen["axes"], Mapping):
-        chosen["axes"] = designs.expand_patterns(chosen["axes"], partial(_numbers, system, settings))
+        chosen["axes"] = designs.expand_axis_patterns(chosen["axes"], partial(_numbers, system, settings))
     study = Study.parse({**chosen, "name": chosen["name"] or scenario["name"]}, single)
-    study = dataclasses.replace(study, keep=expand_keep(study, system))
-    check_keep(study, system, settings)
+    study = dataclasses.replace(study, keep=expand_kept_time_series(study, system))
+    check_kept_time_series(study, system, settings)
     for theory in study.theory:  # refuses inputs that mean nothing
         system.parameter(theory.of, settings)
         theory.formula_inputs(lambda path: system.nominal(path, settings))
@@ -311,7 +311,7 @@ def format_error(error: Exception, overrides: list[str]) -> str:
     if group in GROUPS:
         if name.endswith(".yaml"):
             return f"{group} = {name} is not a file"
-        return f"{group} = {name} is unknown{suggest(name, hydra_sources.choice_names(group))}"
+        return f"{group} = {name} is unknown{format_name_suggestion(name, hydra_sources.list_group_choices(group))}"
     if isinstance(error, OverrideParseException):
         key, given, value = str(error.override).partition("=")
         quoted = (
@@ -327,7 +327,8 @@ def format_error(error: Exception, overrides: list[str]) -> str:
         allowed = [str(k) for k in cause.parent_node or () if k != "hydra"]  # pyright: ignore[reportGeneralTypeIssues]
         if not allowed and (group := key.partition(".")[0]) in GROUPS:
             return f"{key}{given} is unknown: choose a {group} first, {group}=NAME (`sweep list` shows them)"
-        return f"{key}{given} is unknown{suggest_paths(key, allowed) or suggest(str(cause.key), allowed)}"
+        suggestion = suggest_parameter_paths(key, allowed) or format_name_suggestion(str(cause.key), allowed)
+        return f"{key}{given} is unknown{suggestion}"
     if isinstance(cause, KeyValidationError):
         return f"{cause.full_key} is not allowed: a name that is not a number"
     if isinstance(cause, InterpolationResolutionError):
@@ -341,7 +342,7 @@ def format_error(error: Exception, overrides: list[str]) -> str:
     return ": ".join(line.strip().rstrip(":") for line in str(error).splitlines()[:2] if line.strip())
 
 
-def suggest_paths(name: str, groups: Collection[str]) -> str:
+def suggest_parameter_paths(name: str, groups: Collection[str]) -> str:
     """Suggest the full paths of a parameter that a user named without its group.
 
     Args:
@@ -369,7 +370,7 @@ def _wrong_type(error: OmegaConfBaseException, overrides: list[str]) -> str:
     for member in dataclasses.fields(cls) if dataclasses.is_dataclass(cls) else ():
         if member.name == str(error.key) and isinstance(error, ValidationError):
             try:
-                check_value(member, error.value, key)
+                convert_and_check_value(member, error.value, key)
             except InputError as known:
                 return str(known)
     hint = typing.get_type_hints(cls).get(str(error.key)) if dataclasses.is_dataclass(cls) else error.ref_type

@@ -25,7 +25,7 @@ from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import DictConfig, OmegaConf
 
 from sweep.core import project
-from sweep.core.errors import InputError, suggest
+from sweep.core.errors import InputError, format_name_suggestion
 from sweep.core.files import os_error_text
 from sweep.core.groups import GROUPS
 from sweep.core.yaml_check import check_yaml, format_yaml_error
@@ -58,23 +58,25 @@ class GroupFileSource(ConfigSource):
     def is_config(self, config_path: str) -> bool:
         """Return whether `group/name` names a configuration file or a built-in kind of that group."""
         group, _, name = config_path.partition("/")
-        return group in GROUPS and (project.find_file(group, name) is not None or find_schema(group, name) is not None)
+        return group in GROUPS and (
+            project.find_config_file(group, name) is not None or find_schema(group, name) is not None
+        )
 
     def list(self, config_path: str, results_filter: ObjectType | None) -> list[str]:
         """List the names of all files and kinds that a configuration group allows."""
         if results_filter == ObjectType.GROUP:
             return []
-        return choice_names(config_path)
+        return list_group_choices(config_path)
 
     def load_config(self, config_path: str) -> ConfigResult:
         """Load a configuration file of a group and translate it to Hydra's syntax. Raises `InputError`."""
         group, _, name = config_path.partition("/")
-        if project.find_file(group, name) is None and (make_schema := find_schema(group, name)):
+        if project.find_config_file(group, name) is None and (make_schema := find_schema(group, name)):
             return ConfigResult(self.provider, self.full_path(), make_schema(), {"package": None})
-        file = project.find_file(group, name)
+        file = project.find_config_file(group, name)
         content = read_config_file(file, quotes_words=GROUPS[group].has_free_keys)
         header = ConfigSource._get_header_dict(file.read_text(encoding="utf-8")[:512])
-        refuse_code_keys(config_path, content, str(header.get("package")))
+        refuse_code_execution_keys(config_path, content, str(header.get("package")))
         if GROUPS[group].is_global:
             header["package"] = header.get("package") or "_global_"
         for other, choice in referenced_files(group, content):
@@ -114,11 +116,11 @@ class UserFileSource(FileConfigSource):
                 check_yaml(opened.read(), file)
         result = super().load_config(config_path)
         values = OmegaConf.to_container(result.config, resolve=False)
-        refuse_code_keys(config_path, values, str(result.header.get("package")))
+        refuse_code_execution_keys(config_path, values, str(result.header.get("package")))
         return result
 
 
-def refuse_code_keys(config_path: str, values: Any, package: str) -> None:
+def refuse_code_execution_keys(config_path: str, values: Any, package: str) -> None:
     """Raise `InputError` where a configuration has keys that make Hydra run code.
 
     Args:
@@ -237,7 +239,11 @@ def find_system_name(chosen: Mapping[str, str]) -> str:
     """
     group, seen = "scenario" if "scenario" in chosen else "study", set()
     name: Any = chosen.get(group)
-    while isinstance(name, str) and (group, name) not in seen and (file := project.find_file(group, name)) is not None:
+    while (
+        isinstance(name, str)
+        and (group, name) not in seen
+        and (file := project.find_config_file(group, name)) is not None
+    ):
         seen.add((group, name))
         content = read_config_file(file)
         if SYSTEM_KEY in content:
@@ -266,7 +272,7 @@ def translate_group_file(group: str, file: Any, content: Mapping[str, Any]) -> d
     free, kind = GROUPS[group].has_free_keys, content.get("kind")
     if "extends" not in content and GROUPS[group].has_kinds and kind not in _kinds(group):
         problem = "kind is missing" if kind is None else f"kind = {kind} is unknown"
-        raise InputError(f"{file}: {group}.{problem}{suggest(str(kind or ''), _kinds(group))}")
+        raise InputError(f"{file}: {group}.{problem}{format_name_suggestion(str(kind or ''), _kinds(group))}")
     start = defaults_entries_of_base_files(group, file, content) or (
         [] if free else [f"/{group}/{kind or group}_schema@_here_"]
     )
@@ -311,7 +317,7 @@ def refuse_extends_cycle(group: str, file: Any, name: Any, ring: tuple[Any, ...]
         name: Name of the file that is extended.
         ring: Files from `file` to the one that extends `name`.
     """
-    above = project.find_file(group, resolve_relative_to_file(ring[-1], name)) if isinstance(name, str) else None
+    above = project.find_config_file(group, resolve_relative_to_file(ring[-1], name)) if isinstance(name, str) else None
     if above is None:
         return
     if os.path.samefile(above, file):
@@ -325,8 +331,10 @@ def refuse_extends_cycle(group: str, file: Any, name: Any, ring: tuple[Any, ...]
 def require_choice_of_group(file: Any, group: str, name: Any) -> str:
     """Return `name` if it is a file or kind of a group; else raise `InputError` with a suggestion."""
     name = resolve_relative_to_file(file, name)
-    if not isinstance(name, str) or (project.find_file(group, name) is None and name not in _kinds(group)):
-        raise InputError(f"{file}: {group} = {name} is unknown{suggest(str(name), choice_names(group))}")
+    if not isinstance(name, str) or (project.find_config_file(group, name) is None and name not in _kinds(group)):
+        raise InputError(
+            f"{file}: {group} = {name} is unknown{format_name_suggestion(str(name), list_group_choices(group))}"
+        )
     return name
 
 
@@ -345,7 +353,7 @@ def resolve_relative_to_file(file: Any, name: Any) -> Any:
     return name
 
 
-def choice_names(group: str) -> list[str]:
+def list_group_choices(group: str) -> list[str]:
     """List the names that a configuration group allows: files of the project, shipped files, kinds of its classes."""
     return sorted({*project.project_files(group), *project.shipped_files(group), *_kinds(group)})
 

@@ -18,7 +18,7 @@ import pandas as pd
 from sweep import systems
 from sweep.config import experiment
 from sweep.core import project
-from sweep.core.errors import InputError, require_choice, suggest, suggest_nearest
+from sweep.core.errors import InputError, format_name_suggestion, format_nearest_names, require_choice
 from sweep.core.groups import GROUPS
 from sweep.core.parameters import UNIT_BY_SUFFIX, bounds_text, format_unit
 from sweep.study.columns import COLUMN_MEANINGS
@@ -31,7 +31,7 @@ def classes_by_group() -> dict[str, list[type]]:
     return {group: [cls] for group, cls in experiment.SINGLE_CLASSES.items()} | kinds
 
 
-def describe_name(name: str) -> str:
+def describe_parameter_or_column(name: str) -> str:
     """Describe a group, choice, parameter or column.
 
     Args:
@@ -53,32 +53,34 @@ def describe_name(name: str) -> str:
         choice
         and group in GROUPS
         and not GROUPS[group].number_lister
-        and choice not in map(kind_name, every.get(group, []))
+        and choice not in map(registered_kind, every.get(group, []))
     )
-    if of_file and (file := project.find_file(group, choice)):
+    if of_file and (file := project.find_config_file(group, choice)):
         return f"{name}: {project.first_comment(file)}\n\n{file.read_text(encoding='utf-8').rstrip()}"
     head = name.partition(".")[0].partition("=")[0]
     if head in GROUPS and GROUPS[head].number_lister:
-        return describe_file_numbers(head, name.removeprefix(head)[1:])
+        return describe_plan_numbers(head, name.removeprefix(head)[1:])
     group, _, kind = name.partition("=")
     if group in every:
-        kinds = [kind_name(cls) for cls in every[group]]
+        kinds = [registered_kind(cls) for cls in every[group]]
         if kind and not any(kinds):
-            raise InputError(f"{name} is unknown{suggest(kind, group_file_names(group))}")
+            raise InputError(f"{name} is unknown{format_name_suggestion(kind, group_file_names(group))}")
         if kind:
             require_choice(kind, [*kinds, *group_file_names(group)], f"{group} = {kind}")
-        return "\n\n".join(format_class(group, cls) for cls in every[group] if kind in ("", kind_name(cls)))
+        return "\n\n".join(
+            format_parameter_class(group, cls) for cls in every[group] if kind in ("", registered_kind(cls))
+        )
     group, _, key = name.partition(".")
     if group not in every:
-        hint = experiment.suggest_paths(name, every)
+        hint = experiment.suggest_parameter_paths(name, every)
         paths = [
             f"{one}.{line['parameter']}" for one, own in every.items() for cls in own for line in parameter_rows(cls)
         ]
-        raise InputError(f"{name} is unknown{hint or suggest_nearest(name, [*every, *column_meanings(), *paths])}")
+        raise InputError(f"{name} is unknown{hint or format_nearest_names(name, [*every, *column_meanings(), *paths])}")
     found = [(cls, line) for cls in every[group] for line in parameter_rows(cls) if line["parameter"] == key]
     if not found:
         names = {line["parameter"] for cls in every[group] for line in parameter_rows(cls)}
-        raise InputError(f"{name} is unknown{suggest(key, names)}")
+        raise InputError(f"{name} is unknown{format_name_suggestion(key, names)}")
     return "\n\n".join(format_parameter(group, cls, line) for cls, line in found)
 
 
@@ -92,7 +94,7 @@ def group_file_names(group: str) -> list[str]:
     return [*project.shipped_files(group), *project.project_files(group)]
 
 
-def describe_file_numbers(group: str, name: str) -> str:
+def describe_plan_numbers(group: str, name: str) -> str:
     """Describe plan files: list all of them, the numbers in the plan `NAME`, or the single number `NAME.PATH`.
 
     Args:
@@ -125,18 +127,18 @@ def parameters_page() -> str:
         "The list is made by `sweep describe`.",
     ]
     for group, own in classes_by_group().items():
-        parts += [f"## {group}", *(format_class(group, cls) for cls in own)]
+        parts += [f"## {group}", *(format_parameter_class(group, cls) for cls in own)]
     return "\n\n".join(parts) + "\n"
 
 
-def format_class(group: str, cls: type) -> str:
+def format_parameter_class(group: str, cls: type) -> str:
     """Describe a parameter dataclass and its parameters as Markdown.
 
     Args:
         group: Configuration group.
         cls: The dataclass.
     """
-    kind = kind_name(cls)
+    kind = registered_kind(cls)
     lines = pd.DataFrame(list(parameter_rows(cls)))
     table = lines.to_markdown(index=False, disable_numparse=True) if len(lines) else "No parameters."
     names = [
@@ -145,7 +147,12 @@ def format_class(group: str, cls: type) -> str:
         for name, meaning in choice_meanings(field).items()
     ]
     return "\n\n".join(
-        [f"### {group}{'=' + kind if kind else ''}", describe_class(cls), table, *(["\n".join(names)] if names else [])]
+        [
+            f"### {group}{'=' + kind if kind else ''}",
+            class_docstring(cls),
+            table,
+            *(["\n".join(names)] if names else []),
+        ]
     )
 
 
@@ -157,9 +164,9 @@ def format_parameter(group: str, cls: type, line: dict[str, str]) -> str:
         cls: Dataclass of the parameter.
         line: The parameter, as `parameter_rows` yields it.
     """
-    kind = kind_name(cls)
+    kind = registered_kind(cls)
     beside = f" (of {group}={kind})" if kind else ""
-    rows = [f"{group}.{line['parameter']}{beside}: {line['meaning'] or describe_class(cls).splitlines()[0]}"]
+    rows = [f"{group}.{line['parameter']}{beside}: {line['meaning'] or class_docstring(cls).splitlines()[0]}"]
     rows += [f"  {key}: {line[key]}" for key in ("default", "unit", "allowed") if line[key]]
     (field,) = [one for one in dataclasses.fields(cls) if one.name == line["parameter"]]
     rows += [f"    {name}: {meaning}" for name, meaning in choice_meanings(field).items()]
@@ -199,13 +206,13 @@ def format_default(field: "dataclasses.Field[Any]") -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def kind_name(cls: type) -> str:
+def registered_kind(cls: type) -> str:
     """Return the `kind` of an obstacle, manoeuvre or cluster class; empty for other classes."""
     found = [f.default for f in dataclasses.fields(cls) if f.name == "kind"]
     return str(found[0]) if found else ""
 
 
-def describe_class(cls: type) -> str:
+def class_docstring(cls: type) -> str:
     """Return the docstring of a class."""
     return inspect.cleandoc(cls.__doc__ or "")
 

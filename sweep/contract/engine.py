@@ -27,11 +27,11 @@ class TimeSeriesRequest(NamedTuple):
 class FootContacts(Protocol):
     """Contacts of the feet with the ground in a trace, computed by the system that made the trace."""
 
-    def friction_share(self, trace: "Trace") -> np.ndarray:
+    def friction_utilization(self, trace: "Trace") -> np.ndarray:
         """Return each foot's share of its friction limit in use, (F, N) for F frames, N feet; NaN without load."""
         ...
 
-    def depth(self, trace: "Trace", points: np.ndarray, frames: np.ndarray) -> np.ndarray:
+    def penetration_depth(self, trace: "Trace", points: np.ndarray, frames: np.ndarray) -> np.ndarray:
         """Return how deep points lie inside the obstacle at each frame of a trace (m); negative outside.
 
         Args:
@@ -121,7 +121,7 @@ def count_substeps(period: float, step: float, message: str) -> int:
     return round(period / step)
 
 
-def same_bits(a: Any, b: Any) -> bool:
+def is_bitwise_equal(a: Any, b: Any) -> bool:
     """Return whether two numbers are equal bit for bit.
 
     Args:
@@ -150,7 +150,7 @@ class Engine(Protocol):
         """
         ...
 
-    def find_unread_columns(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
+    def find_inactive_parameters(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
         """Find parameters, by column, that cannot change any metric: the traced program does not read them.
 
         Args:

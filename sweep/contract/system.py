@@ -183,7 +183,7 @@ class System(Protocol):
         """Explain why a parameter may change no metric, such as one that only the planner uses; empty if unknown."""
         ...
 
-    def find_random_rows(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
+    def find_stochastic_rows(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
         """Return which of n rows use random numbers, so that repeating them with other seeds gives other results."""
         ...
 
@@ -191,7 +191,7 @@ class System(Protocol):
         """Raise `InputError` if a row of the points table combines parameter values that are not allowed together."""
         ...
 
-    def describe_unsearched_values(self, table: "pd.DataFrame", settings: EngineSettings) -> Iterable[str]:
+    def controller_range_warnings(self, table: "pd.DataFrame", settings: EngineSettings) -> Iterable[str]:
         """Yield a warning for each parameter whose values leave the range for which the controller was made."""
         ...
 

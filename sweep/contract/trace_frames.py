@@ -86,7 +86,7 @@ def joint_names(model: mujoco.MjModel) -> list[str]:
     return [model.joint(joint).name or f"joint_{joint}" for joint in hinge_and_slide_joints(model)]
 
 
-def mass_centres(trace: Trace, frames: slice) -> np.ndarray:
+def centres_of_mass(trace: Trace, frames: slice) -> np.ndarray:
     """Compute the robot's mass centre at some frames of a trace.
 
     Args:

@@ -42,7 +42,7 @@ def mass_centre_jacobian(robot: Robot, stance: Stance) -> Float[Array, "2 2"]:
     return jax.jacfwd(centre)(jnp.zeros(2, stance.position.dtype))
 
 
-def base_shift(robot: Robot, stance: Stance, wanted: Float[Array, " 2"]) -> Float[Array, " 2"]:
+def base_shift_for_mass_centre(robot: Robot, stance: Stance, wanted: Float[Array, " 2"]) -> Float[Array, " 2"]:
     """Return the horizontal base shift (m) that moves the mass centre by `wanted` (m), by the inverse of D in (3.1.1).
 
     The shift is 0 if a leg is at full length, where D is not defined.
@@ -92,7 +92,7 @@ def angular_momentum(robot: Robot, ball: Ball, obs: Observation) -> Float[Array,
     return robot_momentum + ball.mass * (jnp.cross(up, velocity) + (ROLLING_INERTIA - 1) * ball.radius**2 * turn)
 
 
-def lean_impulse(momentum: Float[Array, " 3"], mass: Array | float) -> Float[Array, " 2"]:
+def momentum_cancelling_lean(momentum: Float[Array, " 3"], mass: Array | float) -> Float[Array, " 2"]:
     """Return the lean of the mass centre times its duration (m s) that cancels the angular momentum of robot and ball.
 
     Args:
@@ -135,7 +135,7 @@ def rotate_footholds_backward(
     return rotate(exponential(-alpha * leftward)[None], feet)
 
 
-def swing_over_ball(start: Array, goal: Array, share: Array, phase: Array, height: Array) -> Float[Array, "6 3"]:
+def swing_foot_arc(start: Array, goal: Array, share: Array, phase: Array, height: Array) -> Float[Array, "6 3"]:
     """Return the positions of swinging feet on an arc over the ball, relative to its centre (m).
 
     Args:

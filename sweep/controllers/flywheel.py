@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.layers import Command, Layer, TickContext
+from sweep.controllers.layers import Command, TickContext, TrackerLayer
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import BALANCE, LOCKED, Plan
 from sweep.core.constants import GRAVITY
@@ -36,7 +36,7 @@ class FlywheelGains(NamedTuple):
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Flywheel(Layer):
+class MiddleLegFlywheel(TrackerLayer):
     """Tracker layer that balances the body on a beam by swinging the middle legs like a flywheel."""
 
     mode: Int[Array, " s"]  # `LOCKED`, `LEVELLING` or `BALANCE`

@@ -5,11 +5,11 @@ from jaxtyping import Array, Float, Int
 
 from sweep.core.rotations import conjugate, multiply, rotate
 from sweep.models.frames import body_frame_number, koenig_frame_number
-from sweep.models.obstacles.surface import FreeState, Obstacle, Surface, body_poses, free_start_state, surface_at
+from sweep.models.obstacles.surface import FreeBodyState, Obstacle, Surface, body_poses, free_start_state, surface_at
 from sweep.models.posture import Stance
 
 
-def to_world(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeState) -> Float[Array, "n 3"]:
+def points_to_world(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeBodyState) -> Float[Array, "n 3"]:
     """Transform points (m) to world axes, each from its own coordinate frame: the world or a free body.
 
     Args:
@@ -24,7 +24,7 @@ def to_world(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeSta
     return rotated + shift if free.position.shape[0] else points
 
 
-def to_frame(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeState) -> Float[Array, "n 3"]:
+def points_to_frame(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeBodyState) -> Float[Array, "n 3"]:
     """Transform points (m) from world axes, each to its own coordinate frame: the world or a free body.
 
     Args:
@@ -40,7 +40,7 @@ def to_frame(points: Float[Array, "n 3"], frame: Int[Array, " n"], free: FreeSta
     return points
 
 
-def surface_under(obstacle: Obstacle, feet: Float[Array, "6 3"], frame: Int[Array, " 6"]) -> Surface:
+def surface_under_feet(obstacle: Obstacle, feet: Float[Array, "6 3"], frame: Int[Array, " 6"]) -> Surface:
     """Return the obstacle's surface under footholds, with its free bodies at their start poses.
 
     Args:
@@ -49,10 +49,10 @@ def surface_under(obstacle: Obstacle, feet: Float[Array, "6 3"], frame: Int[Arra
         frame: number of each foot's frame.
     """
     free = free_start_state(obstacle)
-    return surface_at(obstacle, to_world(feet, frame, free), body_poses(free))
+    return surface_at(obstacle, points_to_world(feet, frame, free), body_poses(free))
 
 
-def stance_to_world(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""], free: FreeState) -> Stance:
+def stance_to_world(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""], free: FreeBodyState) -> Stance:
     """Transform a stance (feet and base pose) from the coordinate frames of its feet and base to world axes.
 
     Args:
@@ -61,13 +61,13 @@ def stance_to_world(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""]
         base: number of the base's frame.
         free: state of the free bodies that the frames move with.
     """
-    position, quat = to_world(stance.position[None], base[None], free)[0], stance.quat
+    position, quat = points_to_world(stance.position[None], base[None], free)[0], stance.quat
     for k in range(free.position.shape[0]):
         quat = jnp.where(base == body_frame_number(k), multiply(free.quat[k], quat), quat)
-    return Stance(to_world(stance.feet, feet, free), position, quat)
+    return Stance(points_to_world(stance.feet, feet, free), position, quat)
 
 
-def stance_to_frame(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""], free: FreeState) -> Stance:
+def stance_to_frame(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""], free: FreeBodyState) -> Stance:
     """Transform a stance (feet and base pose) from world axes to the coordinate frames of its feet and base.
 
     Args:
@@ -76,10 +76,10 @@ def stance_to_frame(stance: Stance, feet: Int[Array, " 6"], base: Int[Array, ""]
         base: number of the base's frame.
         free: state of the free bodies that the frames move with.
     """
-    position, quat = to_frame(stance.position[None], base[None], free)[0], stance.quat
+    position, quat = points_to_frame(stance.position[None], base[None], free)[0], stance.quat
     for k in range(free.position.shape[0]):
         quat = jnp.where(base == body_frame_number(k), multiply(conjugate(free.quat[k]), quat), quat)
-    return Stance(to_frame(stance.feet, feet, free), position, quat)
+    return Stance(points_to_frame(stance.feet, feet, free), position, quat)
 
 
 def _goes_with(frame: Int[Array, " n"], body: int) -> Array:

@@ -10,14 +10,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.frames import to_frame, to_world
+from sweep.controllers.frames import points_to_frame, points_to_world
 from sweep.controllers.observation import Observation, foot_load_delay_s, touchdown_detection_delay_s
 from sweep.controllers.plan import Plan
 from sweep.core.rotations import nearest_equivalent_angle
 from sweep.formulas import stepping
 from sweep.models.drive import ServoCommand
 from sweep.models.noise import Noise
-from sweep.models.obstacles.surface import FreeState
+from sweep.models.obstacles.surface import FreeBodyState
 from sweep.models.posture import Stance, feet_in_world
 from sweep.models.robot import Robot
 
@@ -39,7 +39,7 @@ class TickContext(NamedTuple):
     phase: Float[Array, ""]  # of the stage, 0 to 1
     is_first_tick: Bool[Array, ""]  # of the stage
     obs: Observation
-    free: FreeState  # reference state of the free bodies, see `Layer.body_reference`
+    free: FreeBodyState  # reference state of the free bodies, see `Layer.free_body_reference`
     period: float  # s
     joints: Float[Array, "6 3"]  # rad, targets of the last tick
     noise: Noise  # as believed
@@ -58,7 +58,7 @@ class Command(NamedTuple):
     reference: Stance | None = None
 
 
-class Layer:
+class TrackerLayer:
     """Base class of tracker layers, which modify the tracker's commands; by default each method changes nothing.
 
     The tracker calls the hooks in every tick, in the order in which the layers stand in the plan.
@@ -69,7 +69,7 @@ class Layer:
         False  # whether footholds follow the feet, which need not be moved with the base's error then
     )
 
-    def init_state(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> Any:
+    def init_state(self, start: Stance, joints: Float[Array, "6 3"], free: FreeBodyState) -> Any:
         """Return the tracker layer's state before the first tick.
 
         Args:
@@ -79,9 +79,9 @@ class Layer:
         """
         return None
 
-    def body_reference(
-        self, plan: Plan, state: Any, stage: Int[Array, ""], clock: Float[Array, ""], free: FreeState
-    ) -> FreeState:
+    def free_body_reference(
+        self, plan: Plan, state: Any, stage: Int[Array, ""], clock: Float[Array, ""], free: FreeBodyState
+    ) -> FreeBodyState:
         """Return the reference state of the obstacle's free bodies in this stage.
 
         Args:
@@ -94,8 +94,8 @@ class Layer:
         return free
 
     def on_stage_enter(
-        self, stage: Int[Array, ""], state: Any, last_free: FreeState, free: FreeState
-    ) -> tuple[Any, FreeState]:
+        self, stage: Int[Array, ""], state: Any, last_free: FreeBodyState, free: FreeBodyState
+    ) -> tuple[Any, FreeBodyState]:
         """Return the layer's state, and the reference state of the free bodies, at the start of a stage.
 
         Args:
@@ -152,12 +152,12 @@ class GradualFootholdState(NamedTuple):
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class GradualFootholds(Layer):
+class GradualFootholds(TrackerLayer):
     """Tracker layer that moves feet gradually to the footholds of a new stage, so that drives get no jump."""
 
     time: Float[Array, ""]  # s, duration of the transition
 
-    def init_state(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> GradualFootholdState:
+    def init_state(self, start: Stance, joints: Float[Array, "6 3"], free: FreeBodyState) -> GradualFootholdState:
         """Return the layer's state before the first tick, with all feet at their footholds."""
         return GradualFootholdState(start.feet, jnp.zeros_like(start.feet))
 
@@ -166,7 +166,7 @@ class GradualFootholds(Layer):
     ) -> tuple[GradualFootholdState, Stance]:
         """Blend each foot linearly from its last command to its foothold within the layer's `time`."""
         frame, zeros = ctx.plan.foot_frame, jnp.zeros((6, 3))
-        before, origin = (to_world(zeros, frame[stage], ctx.free) for stage in (ctx.last_stage, ctx.stage))
+        before, origin = (points_to_world(zeros, frame[stage], ctx.free) for stage in (ctx.last_stage, ctx.stage))
         left = jnp.where(ctx.is_first_tick, state.command + before - target.feet, state.offset)
         feet = target.feet + jnp.clip(1 - ctx.clock / self.time, 0.0, 1.0) * left
         return GradualFootholdState(feet - origin, left), target._replace(feet=feet)
@@ -174,7 +174,7 @@ class GradualFootholds(Layer):
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class HeldLegs(Layer):
+class JointSpaceLegs(TrackerLayer):
     """Tracker layer for legs that follow planned joint angles instead of footholds, for each of S stages.
 
     Made from `Stage.posture`. The state is the joint angles (rad) at the start of the stage.
@@ -183,7 +183,7 @@ class HeldLegs(Layer):
     held: Bool[Array, "s 6"]  # which legs
     joints: Float[Array, "s 6 3"]  # rad, at the end of the stage
 
-    def init_state(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> Float[Array, "6 3"]:
+    def init_state(self, start: Stance, joints: Float[Array, "6 3"], free: FreeBodyState) -> Float[Array, "6 3"]:
         """Return the layer's state before the first tick: the joint angles (rad) at the start."""
         return joints
 
@@ -193,7 +193,7 @@ class HeldLegs(Layer):
         """Move the held legs in a straight line in joint space, accelerating and braking evenly; no reach limits."""
         origin, held = jnp.where(ctx.is_first_tick, ctx.joints, state), self.held[ctx.stage]
         goal = nearest_equivalent_angle(self.joints[ctx.stage], origin)
-        posed = origin + stepping.trapezoidal_transfer(ctx.phase, 0.0, 1.0)[0] * (goal - origin)
+        posed = origin + stepping.trapezoidal_transfer_timing(ctx.phase, 0.0, 1.0)[0] * (goal - origin)
         joints, target = jnp.where(held[:, None], posed, command.joints), command.target
         feet = feet_in_world(ctx.robot, target.position, target.quat, joints)
         target = target._replace(feet=jnp.where(held[:, None], feet, target.feet))
@@ -203,7 +203,7 @@ class HeldLegs(Layer):
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class ForceFeedforward(Layer):
+class ForceFeedforward(TrackerLayer):
     """Tracker layer that produces planned foot forces by offsets of joint targets, at K instants of each of S stages.
 
     A planned force is commanded as an offset of the joint targets. The force acts as planned only if the foothold is
@@ -224,13 +224,13 @@ class ForceFeedforward(Layer):
     creep: Float[Array, ""]  # m/s, of a foot without touchdown at the end of its swing
     anchoring: Float[Array, ""]  # s, time constant with which footholds of loaded feet follow the measured feet
 
-    def init_state(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> Float[Array, " 6"]:
+    def init_state(self, start: Stance, joints: Float[Array, "6 3"], free: FreeBodyState) -> Float[Array, " 6"]:
         """Return the initial state: the distance (m) that each foot has crept into the surface, zero."""
         return jnp.zeros(len(joints))
 
     def on_stage_enter(
-        self, stage: Int[Array, ""], state: Float[Array, " 6"], last_free: FreeState, free: FreeState
-    ) -> tuple[Float[Array, " 6"], FreeState]:
+        self, stage: Int[Array, ""], state: Float[Array, " 6"], last_free: FreeBodyState, free: FreeBodyState
+    ) -> tuple[Float[Array, " 6"], FreeBodyState]:
         """Reset the distances (m) that feet have crept into the surface to zero; free bodies stay as measured."""
         return jnp.zeros_like(state), free
 
@@ -258,7 +258,7 @@ class ForceFeedforward(Layer):
         """
         stage, obs = ctx.stage, ctx.obs
         places = feet_in_world(ctx.robot, obs.position, obs.quat, obs.angles)
-        real = to_frame(places, ctx.plan.foot_frame[stage], ctx.free)
+        real = points_to_frame(places, ctx.plan.foot_frame[stage], ctx.free)
         time = jnp.maximum(self.anchoring, foot_load_delay_s(ctx.noise, ctx.period))
         share = jnp.where(obs.loaded & ~ctx.plan.swing[stage], jnp.minimum(1.0, ctx.period / time), 0.0)
         return feet + share[:, None] * (real - feet)
@@ -278,10 +278,10 @@ class ForceFeedforward(Layer):
 
     def modify_joint_targets(self, ctx: TickContext, joints: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
         """Return the joint targets (rad) plus the offsets that make the drives produce the planned foot forces."""
-        return joints + interpolate_moments(self.offset, ctx.stage, ctx.phase)
+        return joints + interpolate_stage_values(self.offset, ctx.stage, ctx.phase)
 
 
-def interpolate_moments(
+def interpolate_stage_values(
     values: Float[Array, "s k 6 3"], stage: Int[Array, ""], phase: Float[Array, ""]
 ) -> Float[Array, "6 3"]:
     """Interpolate linearly in time between values given at evenly spaced instants of each stage.

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from sweep.core.rotations import conjugate, exponential, logarithm, multiply
 from sweep.models.noise import Noise
-from sweep.models.obstacles.surface import FreeState
+from sweep.models.obstacles.surface import FreeBodyState
 
 FREE, LOAD, RATES = 1, 2, 3  # folded into a rollout's key to draw the errors of free bodies, of foot loads and of rates
 
@@ -33,13 +33,13 @@ class Observation(NamedTuple):
     rates: Float[Array, "6 3"]  # rad/s, joint rates
     joint_error: Float[Array, "6 3"]  # rad, measured minus true joint angle; acts on the feedback of the drives
     loaded: Bool[Array, " 6"]  # feet that surely carry load
-    free: FreeState
+    free: FreeBodyState
     load: Float[Array, " 6"] | float = np.inf  # N, measured load on each foot, along the surface normal
     maybe_loaded: Bool[Array, " 6"] | None = None  # feet that may carry load; None: same as `loaded`
 
 
 class SensorBiases(NamedTuple):
-    """Constant sensor errors of one rollout in world axes, drawn by `draw_biases`."""
+    """Constant sensor errors of one rollout in world axes, drawn by `draw_sensor_biases`."""
 
     position: Float[Array, " 3"]  # m
     turn: Float[Array, " 3"]  # rad, rotation vector
@@ -61,7 +61,7 @@ class SensorState(NamedTuple):
     history: Observation | None  # leaves (delay_buffer, ...): tick k is at k % delay_buffer; None without a delay
 
 
-def draw_biases(noise: Noise, key: Array) -> SensorBiases:
+def draw_sensor_biases(noise: Noise, key: Array) -> SensorBiases:
     """Draw the constant errors of all sensors of the robot for one rollout.
 
     Args:
@@ -82,7 +82,7 @@ def draw_biases(noise: Noise, key: Array) -> SensorBiases:
     return SensorBiases(position + shift, turn + tilt, velocity, joint, load)
 
 
-def draw_body_biases(noise: Noise, key: Array, free: FreeState) -> Float[Array, "k 4 3"]:
+def draw_free_body_biases(noise: Noise, key: Array, free: FreeBodyState) -> Float[Array, "k 4 3"]:
     """Draw the constant errors of the measured poses and velocities of free bodies for one rollout.
 
     Args:
@@ -115,7 +115,7 @@ def init_sensors(noise: Noise, key: Array, truth: Observation, has_errors: bool 
         history = jax.tree.map(lambda x: jnp.broadcast_to(x, (noise.delay_buffer, *x.shape)), truth)
     if not has_errors:
         return SensorState(None, None, history)
-    return SensorState(draw_biases(noise, key), draw_body_biases(noise, key, truth.free), history)
+    return SensorState(draw_sensor_biases(noise, key), draw_free_body_biases(noise, key, truth.free), history)
 
 
 def observe(
@@ -173,7 +173,7 @@ def observe(
         rates=obs.rates + noise.joint_rate_noise * rates[3:].reshape(6, 3),
         joint_error=joint_error,
         load=load + noise.load_noise * draw[27:],
-        free=FreeState(
+        free=FreeBodyState(
             free.position + error[:, 0],
             multiply(exponential(error[:, 1]), free.quat),
             free.velocity + error[:, 2],
@@ -203,7 +203,7 @@ def touchdown_detection_delay_s(noise: Noise, period: float) -> Array | float:
     return (noise.delay + noise.load_delay) * period
 
 
-def _draw_body_errors(key: Array, sizes: tuple[Array | float, ...], free: FreeState) -> Float[Array, "k 4 3"]:
+def _draw_body_errors(key: Array, sizes: tuple[Array | float, ...], free: FreeBodyState) -> Float[Array, "k 4 3"]:
     """Normal errors of each free body, from a stream of random numbers that no error of the robot uses."""
     return jnp.stack(sizes)[:, None] * jax.random.normal(key, (*free.position.shape[:1], 4, 3), free.position.dtype)
 
@@ -215,12 +215,12 @@ class FreeBodyFilterState(NamedTuple):
     tracker for manoeuvres on free bodies.
     """
 
-    first: FreeState
-    second: FreeState
+    first: FreeBodyState
+    second: FreeBodyState
 
 
-def filter_body_pose(
-    observer: FreeBodyFilterState, measured: FreeState, time_constant: Array | float, period: float
+def update_free_body_filter(
+    observer: FreeBodyFilterState, measured: FreeBodyState, time_constant: Array | float, period: float
 ) -> FreeBodyFilterState:
     """Advance the filter for measured poses of free bodies by one control tick.
 
@@ -240,7 +240,9 @@ def filter_body_pose(
     return FreeBodyFilterState(first, _filter_step(observer.second, first, time_constant / 2, period))
 
 
-def _filter_step(estimate: FreeState, measured: FreeState, time_constant: Array | float, period: float) -> FreeState:
+def _filter_step(
+    estimate: FreeBodyState, measured: FreeBodyState, time_constant: Array | float, period: float
+) -> FreeBodyState:
     share = period / jnp.maximum(time_constant, period)
     position = estimate.position + period * measured.velocity
     quat = multiply(exponential(period * measured.turn), estimate.quat)

@@ -18,10 +18,10 @@ from sweep.controllers.frames import stance_to_frame, stance_to_world
 from sweep.core.rotations import exponential, multiply, rotate
 from sweep.formulas import stepping
 from sweep.models.frames import WORLD_FRAME
-from sweep.models.obstacles.surface import FreeState
+from sweep.models.obstacles.surface import FreeBodyState
 from sweep.models.posture import Stance
 
-# swing profiles; CYCLE_B_SMOOTH is cycle B with the timing of `stepping.trapezoidal_transfer`
+# swing profiles; CYCLE_B_SMOOTH is cycle B with the timing of `stepping.trapezoidal_transfer_timing`
 CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE = range(4)
 # middle legs: as planned; as a flywheel that comes to rest; as a flywheel that balances
 LOCKED, LEVELLING, BALANCE = range(3)
@@ -146,7 +146,7 @@ class Plan:
         """Return the plan's tracker layer of class `kind`; None if the plan has none."""
         return next((layer for layer in self.layers if isinstance(layer, kind)), None)
 
-    def with_layer(self, layer: Any) -> "Plan":
+    def replace_layer(self, layer: Any) -> "Plan":
         """Return the plan with this tracker layer added, or in place of its layer of the same class."""
         return replace(self, layers=(*(other for other in self.layers if not isinstance(other, type(layer))), layer))
 
@@ -180,7 +180,7 @@ def path_length(plan: Plan) -> Float[Array, ""]:
     return jnp.sum(jnp.linalg.norm(jnp.diff(points, axis=0), axis=-1))
 
 
-def swing_progress(cycle: Int[Array, ""], carry: Array, phase: Float[Array, ""]) -> tuple[Array, Array]:
+def swing_progress_and_lift(cycle: Int[Array, ""], carry: Array, phase: Float[Array, ""]) -> tuple[Array, Array]:
     """Return how far a swinging foot is on its way (0 to 1), and its lift over the stage's swing height, at a phase.
 
     Args:
@@ -193,7 +193,7 @@ def swing_progress(cycle: Int[Array, ""], carry: Array, phase: Float[Array, ""])
     """
     x_a, y_a = stepping.swing_cycle_a(phase)
     x_b, y_b = stepping.swing_cycle_b(phase)
-    smooth, _ = stepping.trapezoidal_transfer(phase, 0.0, 1.0)
+    smooth, _ = stepping.trapezoidal_transfer_timing(phase, 0.0, 1.0)
     share_e, y_e = stepping.half_ellipse_swing(phase)
     shares = jnp.stack(
         [0.5 + 0.5 * x_a / stepping.LANDING_RATIO, 0.5 + 0.5 * x_b / stepping.LANDING_RATIO, smooth, share_e]
@@ -214,7 +214,7 @@ def is_guided_by_law(plan: Plan, stage: Int[Array, ""], *laws: str) -> Bool[Arra
 
 
 def stage_start_pose(
-    plan: Plan, stage: Int[Array, ""], free: FreeState
+    plan: Plan, stage: Int[Array, ""], free: FreeBodyState
 ) -> tuple[Float[Array, "6 3"], Float[Array, " 3"]]:
     """Return the planned feet and base position (m) at the start of a stage, each in its own coordinate frame.
 
@@ -236,7 +236,7 @@ def stage_start_pose(
     return stance.feet, stance.position
 
 
-def stage_end_stances(plan: Plan, free: FreeState) -> Stance:
+def stage_end_stances(plan: Plan, free: FreeBodyState) -> Stance:
     """Return the planned stances (feet and base pose, world axes) at the ends of all S stages.
 
     Args:
@@ -272,7 +272,7 @@ def reference_stance(
     path, curve, goal = plan.path, plan.curve, plan.foothold[stage] if goal is None else goal
     first_rate, last_rate = path.rates[stage] - 1  # over the mean rate
     steady = phase + (first_rate * (1 - phase) - last_rate * phase) * phase * (1 - phase)
-    smooth, elliptic = stepping.trapezoidal_transfer(phase, 0.0, 1.0)[0], stepping.half_ellipse_swing(phase)[0]
+    smooth, elliptic = stepping.trapezoidal_transfer_timing(phase, 0.0, 1.0)[0], stepping.half_ellipse_swing(phase)[0]
     progress = jnp.stack([steady, smooth, elliptic])[path.pace[stage]]
     quat = multiply(exponential(progress * plan.turn[stage]), plan.quat[stage])
     arc, rest = path.arc[stage], 1 - progress
@@ -281,7 +281,7 @@ def reference_stance(
     far = progress * jnp.sinc(progress * arc / jnp.pi) / whole
     centre = near * position + far * plan.position[stage] + (1 - near - far) * path.pivot[stage]
 
-    share, height = swing_progress(curve.cycle[stage], curve.carry[stage], phase)
+    share, height = swing_progress_and_lift(curve.cycle[stage], curve.carry[stage], phase)
     lift = stepping.lift_direction(goal - feet, curve.plane[stage])
     lifted = feet + share * (goal - feet) + curve.height[stage] * height * lift
     rest, near_guide, far_guide = 1 - share, curve.guides[stage][:, 0], curve.guides[stage][:, 1]

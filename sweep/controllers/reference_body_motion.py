@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from sweep.controllers.layers import Layer
+from sweep.controllers.layers import TrackerLayer
 from sweep.controllers.plan import ALONGSIDE, KEPT, TO_POSE, Plan, SupportMotion
 from sweep.core.rotations import conjugate, exponential, heading, logarithm, multiply, rotation_about_vertical
 from sweep.formulas import stepping
-from sweep.models.obstacles.surface import FreeState
+from sweep.models.obstacles.surface import FreeBodyState
 from sweep.models.posture import Stance
 
 LOWEST = (-np.inf, -np.inf, 0.0)  # m/s, least velocity of a body on a floor
@@ -23,7 +23,7 @@ LOWEST = (-np.inf, -np.inf, 0.0)  # m/s, least velocity of a body on a floor
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class ReferenceBodyMotion(Layer):
+class FreeBodyReferenceMotion(TrackerLayer):
     """Tracker layer that gives the reference motion of k free bodies (balls, rafts) in each of S stages.
 
     The state is the bodies' state at the start of the stage. Made by `compile_plan`.
@@ -33,31 +33,31 @@ class ReferenceBodyMotion(Layer):
     # whether the bodies float: height and tilt are then always as measured
     afloat: bool = field(metadata={"static": True})
 
-    def init_state(self, start: Stance, joints: Float[Array, "6 3"], free: FreeState) -> FreeState:
+    def init_state(self, start: Stance, joints: Float[Array, "6 3"], free: FreeBodyState) -> FreeBodyState:
         """Return the layer's state before the first tick: the states of the free bodies at the start."""
         return free
 
-    def body_reference(
-        self, plan: Plan, state: FreeState, stage: Int[Array, ""], clock: Float[Array, ""], free: FreeState
-    ) -> FreeState:
+    def free_body_reference(
+        self, plan: Plan, state: FreeBodyState, stage: Int[Array, ""], clock: Float[Array, ""], free: FreeBodyState
+    ) -> FreeBodyState:
         """Return the reference state of the free bodies at time `clock` (s) of the stage."""
         support = jax.tree.map(lambda x: x[stage], self.support)
-        return (floating_reference_motion if self.afloat else reference_motion)(
+        return (floating_body_reference_state if self.afloat else free_body_reference_state)(
             support, state, free, clock, plan.duration[stage]
         )
 
     def on_stage_enter(
-        self, stage: Int[Array, ""], state: FreeState, last_free: FreeState, free: FreeState
-    ) -> tuple[FreeState, FreeState]:
+        self, stage: Int[Array, ""], state: FreeBodyState, last_free: FreeBodyState, free: FreeBodyState
+    ) -> tuple[FreeBodyState, FreeBodyState]:
         """Start the reference at the measured bodies, or where it ended in the last stage if this stage says `KEPT`."""
         kept = jnp.asarray(self.support.mode)[stage] == KEPT
-        start = FreeState(*[jnp.where(kept[:, None], a, b) for a, b in zip(last_free, free, strict=True)])
+        start = FreeBodyState(*[jnp.where(kept[:, None], a, b) for a, b in zip(last_free, free, strict=True)])
         return start, start
 
 
-def reference_motion(
-    support: SupportMotion, start: FreeState, measured: FreeState, clock: Array, duration: Array
-) -> FreeState:
+def free_body_reference_state(
+    support: SupportMotion, start: FreeBodyState, measured: FreeBodyState, clock: Array, duration: Array
+) -> FreeBodyState:
     """Return the reference state of free bodies at time `clock` (s) of a stage; they rest after its duration.
 
     Args:
@@ -71,25 +71,25 @@ def reference_motion(
     share = time / duration
     first = jnp.maximum(start.velocity, jnp.asarray(LOWEST))
     goes, turns = (end - begin for end, begin in ((support.velocity, first), (support.turn, start.turn)))
-    to_velocity = FreeState(
+    to_velocity = FreeBodyState(
         start.position + time * (first + 0.5 * share * goes),
         multiply(exponential(time * (start.turn + 0.5 * share * turns)), start.quat),
         first + share * goes,
         start.turn + share * turns,
     )
-    done, rate = stepping.trapezoidal_transfer(share, 0.0, 1.0)
+    done, rate = stepping.trapezoidal_transfer_timing(share, 0.0, 1.0)
     shift, turn = (
         support.position - start.position,
         logarithm(multiply(jnp.asarray(support.quat), conjugate(start.quat))),
     )
-    to_pose = FreeState(
+    to_pose = FreeBodyState(
         start.position + done * shift,
         multiply(exponential(done * turn), start.quat),
         rate / duration * shift,
         rate / duration * turn,
     )
     moved, turned = measured.position - start.position, logarithm(multiply(measured.quat, conjugate(start.quat)))
-    together = FreeState(
+    together = FreeBodyState(
         start.position + jnp.mean(moved, axis=0),
         multiply(exponential(jnp.broadcast_to(jnp.mean(turned, axis=0), turned.shape)), start.quat),
         jnp.broadcast_to(jnp.mean(measured.velocity, axis=0), measured.velocity.shape),
@@ -102,12 +102,14 @@ def reference_motion(
         mode = jnp.broadcast_to(jnp.asarray(support.mode)[..., None], parts[0].shape)
         return jnp.select([mode == k for k in range(KEPT)], parts[:KEPT], parts[KEPT])
 
-    return FreeState(*[select(*parts) for parts in zip(measured, to_velocity, to_pose, together, kept, strict=True)])
+    return FreeBodyState(
+        *[select(*parts) for parts in zip(measured, to_velocity, to_pose, together, kept, strict=True)]
+    )
 
 
-def floating_reference_motion(
-    support: SupportMotion, start: FreeState, measured: FreeState, clock: Array, duration: Array
-) -> FreeState:
+def floating_body_reference_state(
+    support: SupportMotion, start: FreeBodyState, measured: FreeBodyState, clock: Array, duration: Array
+) -> FreeBodyState:
     """Return the reference state of floating bodies: horizontal motion and heading as planned, the rest as measured.
 
     For `ALONGSIDE` bodies, y and height of the pose to reach are those at the start of the stage.
@@ -123,10 +125,10 @@ def floating_reference_motion(
     kept = alongside[..., None] & (np.arange(3) > 0)
     position = jnp.where(kept, start.position, support.position)
     support = support._replace(mode=jnp.where(alongside, TO_POSE, support.mode), position=position)
-    plane = reference_motion(support, start, measured, clock, duration)
+    plane = free_body_reference_state(support, start, measured, clock, duration)
     ahead = jax.vmap(heading)(multiply(plane.quat, conjugate(measured.quat)))
     upright = np.array([False, False, True])
-    return FreeState(
+    return FreeBodyState(
         jnp.where(upright, measured.position, plane.position),
         multiply(jax.vmap(rotation_about_vertical)(ahead), measured.quat),
         jnp.where(upright, measured.velocity, plane.velocity),

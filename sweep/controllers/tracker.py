@@ -8,19 +8,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.frames import stance_to_frame, stance_to_world, to_frame
+from sweep.controllers.frames import points_to_frame, stance_to_frame, stance_to_world
 from sweep.controllers.layers import Command, TickContext
 from sweep.controllers.observation import (
     FreeBodyFilterState,
     Observation,
-    filter_body_pose,
     foot_load_delay_s,
+    update_free_body_filter,
 )
 from sweep.controllers.plan import GRIP, KEEP, REGRIP, REZERO, Plan, reference_stance
 from sweep.core.rotations import conjugate, exponential, heading, logarithm, multiply, nearest_equivalent_angle, rotate
 from sweep.formulas.leg import SIDE_BY_LEG
 from sweep.models.case import Case
-from sweep.models.obstacles.surface import FreeState, Surface, body_poses, free_start_state, surface_at
+from sweep.models.obstacles.surface import FreeBodyState, Surface, body_poses, free_start_state, surface_at
 from sweep.models.posture import Stance, feet_in_world, joint_targets
 
 LEFT = np.array([0.0, 1.0, 0.0], np.float32)  # left of the base, base axes
@@ -141,12 +141,12 @@ def step(
     manoeuvre, has_bodies = belief.manoeuvre, obs.free.position.shape[0] > 0
     last_stage, last_target, starts = state.stage, state.last_target, (state.stage == 0) & (state.clock == 0)
     if manoeuvre.observer is not None and state.observer is not None:
-        observer = filter_body_pose(state.observer, obs.free, manoeuvre.observer, period)
+        observer = update_free_body_filter(state.observer, obs.free, manoeuvre.observer, period)
         state, obs = state._replace(observer=observer), obs._replace(free=observer.second)
     state = _advance(belief, plan, state._replace(clock=state.clock + period), obs, period, foothold_offset, truth)
     phase = jnp.clip(state.clock / plan.duration[state.stage], 0.0, 1.0)
     is_first_tick = (state.stage != last_stage) | starts
-    free, ignores_pose = reference_body_state(plan, state, obs.free)
+    free, ignores_pose = stage_free_body_reference(plan, state, obs.free)
     ctx = TickContext(
         belief.robot, plan, last_stage, state.stage, state.clock, phase, is_first_tick, obs, free, period, state.joints,
         belief.noise,
@@ -220,7 +220,7 @@ def _advance(
         end = Stance(jnp.where(early, state.last_target.feet, end.feet), *state.last_target[1:])
     last = stage == plan.duration.shape[0] - 1
     next_stage = jnp.where(last, stage, stage + 1)
-    last_free, ignores_pose = reference_body_state(plan, state, obs.free)
+    last_free, ignores_pose = stage_free_body_reference(plan, state, obs.free)
     if has_bodies:
         end = stance_to_world(end, plan.foot_frame[stage], plan.base_frame[stage], last_free)
     for layer, layer_state in zip(plan.layers, state.layer_states, strict=True):
@@ -247,7 +247,10 @@ def _advance(
         states[k], free = layer.on_stage_enter(next_stage, states[k], last_free, free)
     if has_bodies:
         frames = plan.foot_frame[next_stage], plan.base_frame[next_stage]
-        feet, position = to_frame(feet, frames[0], obs.free), to_frame(position[None], frames[1][None], free)[0]
+        feet, position = (
+            points_to_frame(feet, frames[0], obs.free),
+            points_to_frame(position[None], frames[1][None], free)[0],
+        )
         # the difference to the attitude in another frame fades like the error
         quat_in_next_frame = stance_to_world(end._replace(quat=plan.quat[next_stage]), *frames, free).quat
         turn_between = multiply(end.quat, conjugate(quat_in_next_frame))
@@ -355,7 +358,9 @@ def _blend_from_last_target(ctx: TickContext, last_target: Stance, state: Tracke
     return state._replace(error=error, true_error=true_error)
 
 
-def reference_body_state(plan: Plan, state: TrackerState, free: FreeState) -> tuple[FreeState, Bool[Array, ""] | bool]:
+def stage_free_body_reference(
+    plan: Plan, state: TrackerState, free: FreeBodyState
+) -> tuple[FreeBodyState, Bool[Array, ""] | bool]:
     """Return the reference state of free bodies in the current stage, and whether the measured base pose is ignored.
 
     Args:
@@ -364,13 +369,13 @@ def reference_body_state(plan: Plan, state: TrackerState, free: FreeState) -> tu
         free: measured state of the free bodies, world axes.
 
     Returns:
-        The reference state of the free bodies after all layers (see `Layer.body_reference`), and whether some layer
-        considers the base pose to say nothing about the feet.
+        The reference state of the free bodies after all layers (see `Layer.free_body_reference`), and whether some
+        layer considers the base pose to say nothing about the feet.
     """
     ignores_pose = False
     for layer, layer_state in zip(plan.layers, state.layer_states, strict=True):
         free, ignores_pose = (
-            layer.body_reference(plan, layer_state, state.stage, state.clock, free),
+            layer.free_body_reference(plan, layer_state, state.stage, state.clock, free),
             ignores_pose | layer.ignores_base_pose(state.stage),
         )
     return free, ignores_pose

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NoReturn
 
-from sweep.core.errors import InputError, suggest
+from sweep.core.errors import InputError, format_name_suggestion
 
 TYPE_NAMES = {"float": "a number", "int": "a whole number", "Path": "a path"}  # as argparse calls them, and as we do
 
@@ -77,9 +77,11 @@ def make_usage_error(message: str, command: str, known: Iterable[str]) -> InputE
         The error, to be raised by the caller.
     """
     if found := re.match(r"unrecognized arguments: (-[^\s=]+)", message):
-        return InputError(f"{found[1]} is unknown{suggest(found[1], {*known})}")
+        return InputError(f"{found[1]} is unknown{format_name_suggestion(found[1], {*known})}")
     if found := re.match(r"argument (\S+): invalid choice: '(.*)' \(choose from (.*)\)", message):
-        return InputError(f"{found[1]} = {found[2]} is unknown{suggest(found[2], re.findall(r'[\w.-]+', found[3]))}")
+        return InputError(
+            f"{found[1]} = {found[2]} is unknown{format_name_suggestion(found[2], re.findall(r'[\w.-]+', found[3]))}"
+        )
     if found := re.match(r"argument (\S+): invalid (float|int|Path) value: '(.*)'", message):
         return InputError(f"{found[1]} = {found[3]} is not allowed: {TYPE_NAMES[found[2]]}")
     return InputError(f"{message} (`{command} --help` explains more)")

@@ -26,7 +26,7 @@ class Condition(NamedTuple):
         """Description of the cause in words, for tables of causes."""
         return f"not {self.text}" if self.cause == GOAL_MISSED else self.text
 
-    def judge(self, columns: ColumnArrays) -> CauseVerdicts:
+    def judge_rows(self, columns: ColumnArrays) -> CauseVerdicts:
         """Judge n rows by their final metrics: where this cause applies, and with which margin."""
         found = np.asarray(evaluate_expression(self.text, columns.__getitem__))
         holds = ~found if self.cause == GOAL_MISSED else found

@@ -36,7 +36,7 @@ def format_user_exception(error: BaseException) -> str:
     return ": ".join([type(error).__name__, *str(error).splitlines()[:1]])
 
 
-def suggest(word: str, allowed: Iterable[str], short: Iterable[str] = ()) -> str:
+def format_name_suggestion(word: str, allowed: Iterable[str], short: Iterable[str] = ()) -> str:
     """Format the end of an error message about an unknown name: the closest allowed name, then all allowed names.
 
     Args:
@@ -55,7 +55,7 @@ def suggest(word: str, allowed: Iterable[str], short: Iterable[str] = ()) -> str
     return f"{hint} (allowed: {', '.join(sorted(allowed))})" if allowed else hint
 
 
-def suggest_nearest(word: str, names: Iterable[str], count: int = 5) -> str:
+def format_nearest_names(word: str, names: Iterable[str], count: int = 5) -> str:
     """Format the end of an error message about an unknown name: the few names most like it.
 
     Args:
@@ -92,4 +92,4 @@ def require_choice(word: object, allowed: Iterable[str], label: str) -> None:
         InputError: `word` is none of `allowed`; the closest one is suggested.
     """
     if word not in (allowed := list(allowed)):
-        raise InputError(f"{label} is unknown{suggest(str(word), allowed)}")
+        raise InputError(f"{label} is unknown{format_name_suggestion(str(word), allowed)}")

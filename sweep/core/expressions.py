@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweep.core.errors import InputError, suggest_nearest
+from sweep.core.errors import InputError, format_nearest_names
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -180,7 +180,7 @@ def find_column(frame: "pd.DataFrame", name: str, hint: str = "") -> str:
     if not found:
         axes = frame.attrs.get(AXIS_NAMES_KEY, {})
         names = [*axes, *(c for c in frame.columns if c not in axes.values())]
-        raise InputError(f"column {name} is unknown{hint}{suggest_nearest(name, names)}")
+        raise InputError(f"column {name} is unknown{hint}{format_nearest_names(name, names)}")
     return found[0]
 
 

@@ -18,7 +18,7 @@ from sweep.core.errors import Fault, InputError, escape_control_characters
 PATH_ERRORS = (errno.ENOENT, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.ELOOP, errno.EACCES,
                errno.EPERM, errno.EROFS, errno.EBADF)  # fmt: skip
 MAX_SYMBOLIC_LINKS = 40  # longest chain of symbolic links, as on Linux
-MAX_DECODED_BYTES = 2**28  # bytes that a text of `encode_text` may stand for
+MAX_DECODED_BYTES = 2**28  # bytes that a text of `deflate_to_base64` may stand for
 MAX_READ_BYTES = 2**28  # bytes of a file that is read as a whole
 UNFINISHED_PREFIX = ".tmp-"  # prefix of files that are being written
 _unfinished: set[Path] = set()  # hidden files that are being written
@@ -154,13 +154,13 @@ def printable_name(name: str | Path) -> str:
     return escape_control_characters(str(name).encode(errors="surrogateescape").decode(errors="backslashreplace"))
 
 
-def encode_text(content: bytes) -> str:
+def deflate_to_base64(content: bytes) -> str:
     """Encode bytes as text: deflate, then base64."""
     return base64.b64encode(zlib.compress(content, 9)).decode()
 
 
-def decode_text(text: str) -> bytes:
-    """Decode text from `encode_text` into bytes.
+def inflate_base64(text: str) -> bytes:
+    """Decode text from `deflate_to_base64` into bytes.
 
     Raises:
         ValueError: The text is damaged, or stands for more than `MAX_DECODED_BYTES` bytes.
@@ -229,13 +229,13 @@ def ensure_private_folder(path: Path) -> bool:
     """
     try:
         path.mkdir(parents=True, exist_ok=True, mode=0o700)
-        require_private(path)
+        require_private_path(path)
     except OSError:
         return False
     return True
 
 
-def require_private(path: Path) -> None:
+def require_private_path(path: Path) -> None:
     """Raise `InputError` where `path` belongs to another user or others can write to it."""
     found = path.stat()
     if found.st_uid != os.geteuid() or found.st_mode & 0o022:

@@ -15,7 +15,7 @@ _patient = threading.Event()  # set while ending in an orderly way matters more 
 _said = threading.Event()
 
 
-def watch_interrupts() -> None:
+def install_interrupt_handler() -> None:
     """Make Ctrl-C end this process within `GRACE_PERIOD_S` seconds, with its child processes and exit code 130.
 
     Python raises `KeyboardInterrupt` in the main thread only after that thread returns from C code, and it exits only
@@ -57,13 +57,13 @@ def _end_after_interrupt(read: int) -> None:
     while _patient.is_set():
         time.sleep(0.1)
     print_interrupt_message()
-    kill_children(os.getpid())
+    kill_descendants(os.getpid())
     if files := sys.modules.get("sweep.core.files"):  # nothing is written before it is imported
         files.remove_unfinished_files()
     os._exit(INTERRUPT_EXIT_CODE)
 
 
-def kill_children(parent: int) -> None:
+def kill_descendants(parent: int) -> None:
     """Kill all descendants of the process `parent`, on systems that list processes in /proc."""
     children: dict[int, list[int]] = {}
     for process in filter(str.isdecimal, os.listdir("/proc") if os.path.isdir("/proc") else ()):

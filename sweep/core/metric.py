@@ -156,7 +156,7 @@ class CommonRollout(Protocol):
         """Convert a sum over samples, as metrics accumulate it, into an integral over time in SI units."""
         ...
 
-    def displacement_along(self, displacement: Array) -> Array:
+    def displacement_along_command(self, displacement: Array) -> Array:
         """Return the component of displacements (..., 3) along the commanded direction, which must be constant."""
         ...
 
@@ -169,7 +169,7 @@ class TouchdownPoints(Protocol):
         ...
 
 
-class ContinuousTwin(NamedTuple):
+class SmoothMarginMetric(NamedTuple):
     """A continuous metric that crosses its limit exactly when an integer metric does, and gives it a smooth margin."""
 
     metric: str
@@ -177,7 +177,7 @@ class ContinuousTwin(NamedTuple):
     scale: float  # in which its margin is counted
 
 
-class LeadingMetric(NamedTuple):
+class PrecursorMetric(NamedTuple):
     """A metric that reaches zero before another one starts to grow; gives margins to rows that are far from failing."""
 
     metric: str
@@ -204,8 +204,8 @@ class Cause:
     invalid: bool = False
     scale: float | None = None  # in which its margin is counted; the threshold's size by default
     is_count: bool = False  # a count, which is enough or not
-    twin: ContinuousTwin | None = None  # of a count
-    lead: LeadingMetric | None = None  # where there is one, in such a world
+    twin: SmoothMarginMetric | None = None  # of a count
+    lead: PrecursorMetric | None = None  # where there is one, in such a world
     default_for: Callable[[Any], float | None] = lambda world: None
 
     @property
@@ -230,7 +230,7 @@ class Cause:
         return value < limit if self.below else value > limit
 
     @property
-    def companion_metric(self) -> str:
+    def margin_companion_metric(self) -> str:
         """Name of a second metric that the margin of the cause also uses; empty if there is none."""
         other = self.twin or self.lead
         return other.metric if other else ""
@@ -391,7 +391,7 @@ def compute_columns(metrics: Iterable[Metric[Any]], states: Iterable[Any], rollo
     return columns
 
 
-def keep_ended_states(going: Array, new: Any, old: Any) -> Any:
+def freeze_ended_states(going: Array, new: Any, old: Any) -> Any:
     """Return the new states of rollouts that are still running, and the old states of rollouts that have ended.
 
     Args:

@@ -69,7 +69,7 @@ def cause_margin(cause: Cause, columns: ColumnArrays, limit: float) -> np.ndarra
 
     if cause.invalid or not (cause.threshold or cause.twin) or not np.isfinite(limit):
         return None
-    return cause.margin(values(cause.metric), limit, values(cause.companion_metric))
+    return cause.margin(values(cause.metric), limit, values(cause.margin_companion_metric))
 
 
 def classify_rows(

@@ -129,7 +129,7 @@ def parameters[T: type](cls: T) -> T:
     return jax.tree_util.register_dataclass(cls, data_fields=data, meta_fields=static)
 
 
-def build[T](cls: type[T], values: Mapping[str, Any], path: str) -> T:
+def build_instance[T](cls: type[T], values: Mapping[str, Any], path: str) -> T:
     """Make an instance of a parameter dataclass from plain values.
 
     Args:
@@ -146,10 +146,10 @@ def build[T](cls: type[T], values: Mapping[str, Any], path: str) -> T:
     fields = {f.name: f for f in dataclasses.fields(cls)}  # pyright: ignore[reportArgumentType]
     for key in values:
         require_choice(key, fields, f"{path}.{key}")
-    return cls(**{key: check_value(fields[key], value, f"{path}.{key}") for key, value in values.items()})
+    return cls(**{key: convert_and_check_value(fields[key], value, f"{path}.{key}") for key, value in values.items()})
 
 
-def build_by_kind(kinds: Mapping[str, type], values: Mapping[str, Any], path: str) -> Any:
+def build_instance_by_kind(kinds: Mapping[str, type], values: Mapping[str, Any], path: str) -> Any:
     """Make an instance of the parameter dataclass that the value of `kind` selects.
 
     Args:
@@ -165,10 +165,10 @@ def build_by_kind(kinds: Mapping[str, type], values: Mapping[str, Any], path: st
     """
     kind: Any = values.get("kind")
     require_choice(kind, kinds, f"{path}.kind = {kind!r}")
-    return build(kinds[kind], values, path)
+    return build_instance(kinds[kind], values, path)
 
 
-def check_value(field: "dataclasses.Field[Any]", value: Any, path: str) -> Any:
+def convert_and_check_value(field: "dataclasses.Field[Any]", value: Any, path: str) -> Any:
     """Convert a plain value to the type of a field and check its bounds.
 
     Args:

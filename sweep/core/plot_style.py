@@ -84,7 +84,7 @@ def save_figure(figure: Figure, path: Path, dpi: int = DPI) -> Path:
     return path
 
 
-def legend_below(figure: Figure, handles: Sequence[Any]) -> None:
+def add_legend_below(figure: Figure, handles: Sequence[Any]) -> None:
     """Add a legend below all panels, in as many columns as fit. The figure grows by the lines after the first.
 
     Args:
@@ -130,7 +130,7 @@ def text_width(text: str) -> float:
     )
 
 
-def fit_ticks(ax: Axes, columns: int) -> None:
+def limit_x_ticks(ax: Axes, columns: int) -> None:
     """Set at most five ticks along x, fewer where their labels would touch.
 
     Args:
@@ -147,7 +147,7 @@ def fit_ticks(ax: Axes, columns: int) -> None:
             return
 
 
-def use_whole_ticks(axis: Axis) -> None:
+def use_integer_ticks(axis: Axis) -> None:
     """Put ticks at whole numbers only, for an axis of counts."""
     axis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 5, 10], integer=True))
 

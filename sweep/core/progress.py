@@ -46,7 +46,7 @@ def show_elapsed_time(step: Callable[[], str] | str) -> Iterator[None]:
 
 
 @contextmanager
-def show_counts(step: Callable[..., str], *counts: int) -> Iterator[Callable[..., None]]:
+def show_progress_counts(step: Callable[..., str], *counts: int) -> Iterator[Callable[..., None]]:
     """Print progress to standard error while this context runs, from counts that the caller updates.
 
     Args:
@@ -67,7 +67,7 @@ def show_counts(step: Callable[..., str], *counts: int) -> Iterator[Callable[...
 
 
 @contextmanager
-def time_step_part(name: str) -> Iterator[None]:
+def measure_part_duration(name: str) -> Iterator[None]:
     """Measure the duration of this context as a named part of a longer step; parts may run concurrently."""
     start = _begun[name] = time.perf_counter()
     try:
@@ -119,7 +119,7 @@ def format_last_duration(step: str) -> str:
     return f" ({seconds:.0f} s last time)" if seconds else ""
 
 
-def remember_duration(step: str, seconds: float) -> None:
+def store_step_duration(step: str, seconds: float) -> None:
     """Store the duration of a step, and of its parts, in the cache folder. Durations below 2 s are not stored.
 
     Args:

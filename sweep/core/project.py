@@ -37,10 +37,10 @@ def find_project() -> Path | None:
     """
     here = Path.cwd()
     found = (folder for folder in (here, *here.parents) if (folder / PROJECT_FILE).is_file())
-    return next((folder for folder in found if find_results_around(folder / PROJECT_FILE) is None), None)
+    return next((folder for folder in found if find_enclosing_results(folder / PROJECT_FILE) is None), None)
 
 
-def find_results_around(file: Path) -> Path | None:
+def find_enclosing_results(file: Path) -> Path | None:
     """Find the folder of results, or of a packed study (RO-Crate), that contains a file.
 
     Nothing in such a folder is run or taken for a project, as it may come from a stranger.
@@ -92,7 +92,7 @@ def shipped_files(group: str) -> dict[str, Any]:
     return {f.name.removesuffix(".yaml"): f for f in sorted(files, key=lambda f: f.name) if f.name.endswith(".yaml")}
 
 
-def find_file(group: str, name: str) -> Any:
+def find_config_file(group: str, name: str) -> Any:
     """Find the configuration file of `group=name`.
 
     Args:
@@ -201,7 +201,7 @@ def _imported(folder: Path | None, names: tuple[str, ...]) -> tuple[ModuleType, 
 
 
 @contextmanager
-def locate_user_errors() -> Iterator[None]:
+def convert_user_errors() -> Iterator[None]:
     """Turn exceptions and exits of user modules within this context into an `InputError` with file and line."""
     try:
         yield
@@ -211,7 +211,10 @@ def locate_user_errors() -> Iterator[None]:
         import traceback
 
         own = {
-            str(file) for name in user_module_names() if name in sys.modules for file in source_files(sys.modules[name])
+            str(file)
+            for name in user_module_names()
+            if name in sys.modules
+            for file in module_source_files(sys.modules[name])
         }
         for frame in reversed(traceback.extract_tb(error.__traceback__)):
             if frame.filename in own:
@@ -223,10 +226,10 @@ def locate_user_errors() -> Iterator[None]:
 def user_module_sources() -> Iterator[Path]:
     """Yield the source files of all user modules."""
     for module in import_user_modules():
-        yield from source_files(module)
+        yield from module_source_files(module)
 
 
-def source_files(module: ModuleType) -> list[Path]:
+def module_source_files(module: ModuleType) -> list[Path]:
     """List the source files of a module, or of the package that contains it."""
     file = Path(str(module.__file__))
     every = sorted(file.parent.rglob("*.py")) if (file.parent / "__init__.py").exists() else [file]

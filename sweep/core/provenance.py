@@ -58,7 +58,7 @@ def code_version() -> str:
 
 
 @functools.cache
-def search_version() -> str:
+def plan_search_version() -> str:
     """Return a hash of all source files and library versions that can change the result of `sweep tune`."""
     cma = next((one.version for one in metadata.distributions(name="cma")), "")  # which may be missing
     return _version(SEARCH_MODULES, {**library_versions(), "cma": cma})
@@ -159,7 +159,7 @@ def _load_parsed() -> dict[str, tuple[list[str], str]]:
     """Load what earlier processes parsed, by hash of the source. Parsing all sources takes a second."""
     with contextlib.suppress(OSError, ValueError, InputError):
         if file := _parsed_cache_file():
-            files.require_private(file)
+            files.require_private_path(file)
             return json.loads(file.read_bytes())
     return {}
 

@@ -29,7 +29,7 @@ def print_markdown(
         from rich.console import Console
 
         console = Console()
-        text = fit_to_width(text, console.width, required, hidden_hint)
+        text = fit_markdown_to_width(text, console.width, required, hidden_hint)
         if is_paged and text.count("\n") >= console.height and show_in_pager(text):
             return
     sys.stdout.write(text)
@@ -50,7 +50,9 @@ def show_in_pager(text: str) -> bool:
     return done.returncode not in (126, 127)  # of a shell that finds no such program
 
 
-def fit_to_width(text: str, width: int, required: Collection[str] = (), hidden_hint: str = HIDDEN_COLUMNS_HINT) -> str:
+def fit_markdown_to_width(
+    text: str, width: int, required: Collection[str] = (), hidden_hint: str = HIDDEN_COLUMNS_HINT
+) -> str:
     """Fit Markdown into lines of limited width, without breaking words.
 
     Args:
@@ -102,14 +104,14 @@ def fit_table(lines: list[str], width: int, required: Collection[str], hidden_hi
     marks = lines[1].strip("|").split("|")
     heads, *rows = ([cell.strip() for cell in line[1:-1].split(" | ")] for line in (lines[0], *lines[2:]))
     columns = list(zip(heads, *rows, strict=True))
-    natural = [max(map(cell_width, column)) for column in columns]
+    natural = [max(map(display_width, column)) for column in columns]
     needed = [max(map(unbreakable_width, column)) for column in columns]
     found: list[int] = []
     for k in sorted(range(len(heads)), key=lambda k: heads[k] not in required):
         if sum(needed[j] + COLUMN_GAP for j in (*found, k)) - COLUMN_GAP <= width:
             found.append(k)
     found.sort()
-    widths = shrink_widths(
+    widths = shrink_column_widths(
         [natural[k] for k in found], [needed[k] for k in found], width - COLUMN_GAP * (len(found) - 1)
     )
     yield from render_table([columns[k] for k in found], [marks[k].endswith("-:") for k in found], widths)
@@ -117,7 +119,7 @@ def fit_table(lines: list[str], width: int, required: Collection[str], hidden_hi
         yield wrap_line(f"Not shown for lack of width: {', '.join(left)}: {hidden_hint}.", width)
 
 
-def cell_width(text: str) -> int:
+def display_width(text: str) -> int:
     """Return the width of a text in terminal cells; a Chinese character takes two."""
     from rich.cells import cell_len
 
@@ -126,10 +128,10 @@ def cell_width(text: str) -> int:
 
 def unbreakable_width(text: str) -> int:
     """Return the width of the longest word of a table cell, or of the whole cell if it is short."""
-    return cell_width(text) if cell_width(text) <= MAX_UNBROKEN_WIDTH else max(map(cell_width, text.split()))
+    return display_width(text) if display_width(text) <= MAX_UNBROKEN_WIDTH else max(map(display_width, text.split()))
 
 
-def shrink_widths(widths: list[int], needed: list[int], room: int) -> list[int]:
+def shrink_column_widths(widths: list[int], needed: list[int], room: int) -> list[int]:
     """Narrow the widest columns until all columns fit.
 
     Args:

@@ -28,7 +28,7 @@ _running: dict[int, tuple[str, float, float]] = {}  # calls: what runs, its star
 _watching = threading.Lock()
 
 
-class _Lines(io.TextIOBase):
+class _PrintedLineStream(io.TextIOBase):
     """A stream whose lines are kept, each once."""
 
     def __init__(self, what: str):
@@ -80,7 +80,7 @@ def run_user_code(what: str, folder: Path) -> Iterator[None]:
     """
     before = os.getcwd()
     os.chdir(_folders.get(folder, folder))
-    lines = _Lines(what.partition(" ")[0])
+    lines = _PrintedLineStream(what.partition(" ")[0])
     try:
         with report_slow_call(what), contextlib.redirect_stdout(lines):
             yield

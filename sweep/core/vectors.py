@@ -63,9 +63,9 @@ class Vector:
             self.x * other.y - self.y * other.x,
         )
 
-    def total(self) -> "Vector":
+    def sum_last_axis(self) -> "Vector":
         """Sum over the last axis (such as the legs), which stays with length 1."""
-        return Vector(*(total(part) for part in self))
+        return Vector(*(sum_last_axis(part) for part in self))
 
 
 class Matrix(NamedTuple):
@@ -118,9 +118,9 @@ class Matrix(NamedTuple):
         """Return the matrix product with `cross_matrix(v)` on the right."""
         return Matrix(*(row.cross(v) for row in self))
 
-    def total(self) -> "Matrix":
+    def sum_last_axis(self) -> "Matrix":
         """Sum over the last axis (such as the legs), which stays with length 1."""
-        return Matrix(*(row.total() for row in self))
+        return Matrix(*(row.sum_last_axis() for row in self))
 
     def inverse(self) -> "Matrix":
         """Return the inverse matrix, computed from cofactors."""
@@ -129,12 +129,12 @@ class Matrix(NamedTuple):
         return Matrix(*(row * scale for row in rows)).transpose
 
 
-def total(x: Array) -> Array:
+def sum_last_axis(x: Array) -> Array:
     """Sum an array over its last axis, which stays with length 1."""
     return jnp.sum(x, axis=-1, keepdims=True)
 
 
-def select(condition: Array, a: Vector, b: Vector) -> Vector:
+def select_vector(condition: Array, a: Vector, b: Vector) -> Vector:
     """Choose between two vectors element by element.
 
     Args:
@@ -148,7 +148,7 @@ def select(condition: Array, a: Vector, b: Vector) -> Vector:
     return Vector(*(jnp.where(condition, x, y) for x, y in zip(a, b, strict=True)))
 
 
-def axis_vector(axis: int, value: Array) -> Vector:
+def vector_along_axis(axis: int, value: Array) -> Vector:
     """Make a vector along a coordinate axis.
 
     Args:
@@ -162,7 +162,7 @@ def axis_vector(axis: int, value: Array) -> Vector:
     return Vector(*(value if i == axis else zero for i in range(3)))
 
 
-def diagonal(x: Array, y: Array, z: Array) -> Matrix:
+def diagonal_matrix(x: Array, y: Array, z: Array) -> Matrix:
     """Make a diagonal matrix.
 
     Args:
@@ -173,10 +173,10 @@ def diagonal(x: Array, y: Array, z: Array) -> Matrix:
     Returns:
         The matrix, whose entries have the shapes of the arguments.
     """
-    return Matrix(*(axis_vector(k, value) for k, value in enumerate((x, y, z))))
+    return Matrix(*(vector_along_axis(k, value) for k, value in enumerate((x, y, z))))
 
 
-def symmetric(xx: Array, yy: Array, zz: Array, xy: Array, xz: Array, yz: Array) -> Matrix:
+def symmetric_matrix(xx: Array, yy: Array, zz: Array, xy: Array, xz: Array, yz: Array) -> Matrix:
     """Make a symmetric matrix, such as an inertia tensor.
 
     Args:
@@ -199,7 +199,7 @@ def cross_matrix(v: Vector) -> Matrix:
     return Matrix(Vector(zero, -v.z, v.y), Vector(v.z, zero, -v.x), Vector(-v.y, v.x, zero))
 
 
-def rotation(w: Array, x: Array, y: Array, z: Array) -> Matrix:
+def rotation_from_quaternion(w: Array, x: Array, y: Array, z: Array) -> Matrix:
     """Return the rotation matrix, body to world, of a unit quaternion.
 
     Args:

@@ -14,7 +14,7 @@ UNPRINTABLE = re.compile(f"[{CONTROL_CHARACTER_RANGES}]")
 MAX_ALIASED_ITEMS, MAX_NESTING_DEPTH = 100_000, 100  # items that aliases may stand for, in all, and levels of nesting
 
 
-def ambiguous_number(text: str) -> str:
+def explain_ambiguous_number(text: str) -> str:
     """Explain why an unquoted YAML word such as `010` or `1:30` is ambiguous as a number; empty for other words."""
     if not LEADING_ZERO.fullmatch(text) and not SEXAGESIMAL.fullmatch(text):
         return ""
@@ -43,13 +43,13 @@ def check_yaml(text: str, name: str, numbers: bool = True) -> None:
         yaml.YAMLError: The text is no YAML.
     """
     sizes: dict[str, int] = {}  # items of finished anchors
-    levels: list[_Level] = []
+    levels: list[_OpenCollection] = []
     aliased = 0
     for event in yaml.parse(text, YAML_PARSER):
         size = 1
         match event:
             case yaml.MappingStartEvent() | yaml.SequenceStartEvent():
-                levels.append(_Level(event.anchor, isinstance(event, yaml.MappingStartEvent)))
+                levels.append(_OpenCollection(event.anchor, isinstance(event, yaml.MappingStartEvent)))
                 if len(levels) > MAX_NESTING_DEPTH:
                     raise InputError(
                         f"{name}, line {_line(event)} is nested too deeply: at most {MAX_NESTING_DEPTH} levels"
@@ -65,7 +65,7 @@ def check_yaml(text: str, name: str, numbers: bool = True) -> None:
                     sizes[event.anchor] = 1
                 if found := UNPRINTABLE.search(event.value):  # written as an escape such as \\e
                     raise InputError(f"{name}, line {_line(event)} is not allowed: it has the character {found[0]!r}")
-                why = ambiguous_number(event.value) if numbers and event.implicit[0] else ""
+                why = explain_ambiguous_number(event.value) if numbers and event.implicit[0] else ""
                 if why:
                     key = ".".join(one.key for one in levels if one.key)
                     what = f"{key} = {event.value}" if key else event.value
@@ -83,17 +83,17 @@ def check_yaml(text: str, name: str, numbers: bool = True) -> None:
             case _:
                 continue
         if levels:
-            levels[-1].add(size, event.value if isinstance(event, yaml.ScalarEvent) else "")
+            levels[-1].count_item(size, event.value if isinstance(event, yaml.ScalarEvent) else "")
 
 
-class _Level:
+class _OpenCollection:
     """A mapping or sequence whose end has not been parsed yet."""
 
     def __init__(self, anchor: str | None, is_mapping: bool):
         self.anchor, self.is_mapping = anchor, is_mapping
         self.size, self.key, self._at_key = 1, "", True
 
-    def add(self, size: int, text: str) -> None:
+    def count_item(self, size: int, text: str) -> None:
         """Count an item of `size`, and remember it if it is a key of a mapping, where keys and values alternate."""
         self.size += size
         if self.is_mapping:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.core.vectors import Matrix, Vector, axis_vector, select
+from sweep.core.vectors import Matrix, Vector, select_vector, vector_along_axis
 from sweep.dynamics import free_bodies
 from sweep.dynamics.free_bodies import Frames, FreeBodies
 from sweep.dynamics.spatial import SpatialVector
@@ -28,7 +28,7 @@ FACE_DTYPE = jnp.int32  # in double precision obstacles may tell wider ones
 CREEP_RATE = 1e-4  # rad/s, at which the resisting moment reaches its limit: rest is a creep slower than this
 
 
-class Anchors(NamedTuple):
+class ContactAnchors(NamedTuple):
     """Points on the surface to which the tangential springs of n contact points are attached: r_T of (1.2.2)."""
 
     # m, in the axes of the body that owns the face, world axes for the fixed world; of what rolls, from the contact
@@ -63,22 +63,22 @@ class ContactForces(NamedTuple):
     loaded: Bool[Array, " n"]
 
 
-def no_anchors(n: int, dtype: jnp.dtype) -> Anchors:
+def no_anchors(n: int, dtype: jnp.dtype) -> ContactAnchors:
     """Make the contact anchors (spring attachments) of n points that are not in contact."""
-    return Anchors(Vector.from_array(jnp.zeros((n, 3), dtype)), jnp.zeros(n, bool), jnp.zeros(n, FACE_DTYPE))
+    return ContactAnchors(Vector.from_array(jnp.zeros((n, 3), dtype)), jnp.zeros(n, bool), jnp.zeros(n, FACE_DTYPE))
 
 
 def _to_world_axes(place: Vector, body: Array, frames: Frames) -> Vector:
     """Points from the axes of the free body that each belongs to (-1: the world) to world axes."""
     for k, (origin, rotation) in enumerate(frames):
-        place = select(body == k, rotation @ place + origin, place)
+        place = select_vector(body == k, rotation @ place + origin, place)
     return place
 
 
 def _to_body_axes(place: Vector, body: Array, frames: Frames) -> Vector:
     """Points from world axes to the axes of the free body that each belongs to; the inverse of `_to_world_axes`."""
     for k, (origin, rotation) in enumerate(frames):
-        place = select(body == k, rotation.transpose @ (place - origin), place)
+        place = select_vector(body == k, rotation.transpose @ (place - origin), place)
     return place
 
 
@@ -88,7 +88,9 @@ def _frames(bodies: BodyPoses) -> Frames:
     return [(Vector.from_array(position[None]), Matrix.from_array(rotation[None])) for position, rotation in places]
 
 
-def to_world_frame(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: BodyPoses) -> Float[Array, "n 3"]:
+def transform_points_to_world(
+    place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: BodyPoses
+) -> Float[Array, "n 3"]:
     """Transform points from the frames of free bodies to the world frame.
 
     Args:
@@ -102,8 +104,10 @@ def to_world_frame(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: B
     return _to_world_axes(Vector.from_array(place), body, _frames(bodies)).array()
 
 
-def to_body_frame(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: BodyPoses) -> Float[Array, "n 3"]:
-    """Transform points from the world frame to the frames of free bodies, the inverse of `to_world_frame`.
+def transform_points_to_body(
+    place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: BodyPoses
+) -> Float[Array, "n 3"]:
+    """Transform points from the world frame to the frames of free bodies, the inverse of `transform_points_to_world`.
 
     Args:
         place: Points (m, world axes).
@@ -117,7 +121,7 @@ def to_body_frame(place: Float[Array, "n 3"], body: Int[Array, " n"], bodies: Bo
 
 
 def contact_geometry(
-    contact: Contact, surface: Surface, anchors: Anchors, point: Vector, frames: Frames
+    contact: Contact, surface: Surface, anchors: ContactAnchors, point: Vector, frames: Frames
 ) -> tuple[ContactGeometry, Vector]:
     """Return normals and other data of contacts at the start of a step, and their anchors (spring ends), world axes.
 
@@ -128,8 +132,8 @@ def contact_geometry(
     fresh = point + surface.depth * normal
     kept = _to_world_axes(anchors.positions, surface.body, frames)
     if surface.rolling is not None:
-        kept = select(surface.rolling.radius > 0, point + anchors.positions, kept)
-    place = select(held, kept, fresh)
+        kept = select_vector(surface.rolling.radius > 0, point + anchors.positions, kept)
+    place = select_vector(held, kept, fresh)
     gap = place - point
     stretch = gap - gap.dot(normal) * normal
     damping = contact.damping if surface.damping is None else contact.damping + surface.damping
@@ -170,7 +174,7 @@ def contact_damping(geometry: ContactGeometry, forces: ContactForces, h: float) 
     along_t = (-scale * slips * forces.elastic_share) * t
     round_, along_n, along_t = jax.lax.optimization_barrier((round_, along_n, along_t))
     rows = enumerate(zip(along_n, along_t, strict=True))
-    return Matrix(*(a * n + b * t + axis_vector(k, round_) for k, (a, b) in rows))
+    return Matrix(*(a * n + b * t + vector_along_axis(k, round_) for k, (a, b) in rows))
 
 
 def update_anchors(
@@ -182,7 +186,7 @@ def update_anchors(
     forces: ContactForces,
     velocity: Vector,
     h: float,
-) -> Anchors:
+) -> ContactAnchors:
     """Return the contact anchors (ends of tangential springs) after a step; a slipping point drags its anchor along.
 
     The contact of what rolls moves over both surfaces alike: only the slip between them, at `velocity`, stretches it.
@@ -191,23 +195,23 @@ def update_anchors(
     normal = Vector.from_array(surface.normal)
     landed = point + h * velocity + (surface.depth - h * normal.dot(velocity)) * normal
     dragged = landed + (1 / contact.stiffness) * forces.tangential
-    place = select(forces.slipping, dragged, place)
+    place = select_vector(forces.slipping, dragged, place)
     kept = _to_body_axes(place, surface.body, frames)
     if surface.rolling is not None:
-        kept = select(surface.rolling.radius > 0, place - point - h * velocity, kept)
-    return Anchors(kept, forces.loaded, surface.face.astype(FACE_DTYPE))
+        kept = select_vector(surface.rolling.radius > 0, place - point - h * velocity, kept)
+    return ContactAnchors(kept, forces.loaded, surface.face.astype(FACE_DTYPE))
 
 
-class ResistingMoments(NamedTuple):
+class RollingResistanceMoments(NamedTuple):
     """Moments against rolling and spinning of spheres (N m), and how fast they grow with the angular rate."""
 
     moment: Vector  # (m,) N m
     slope: Matrix  # (m,) -d moment / d rate, N m s/rad
 
 
-def resisting_moments(
+def rolling_resistance_moments(
     rolling: RollingResistance, normal: Vector, load: Float[Array, "*m"], rate: Vector
-) -> ResistingMoments:
+) -> RollingResistanceMoments:
     """Return the moments (N m) against rolling and spinning at `rate` (rad/s) under the normal forces `load` (N)."""
     spin = rate.dot(normal)
     roll = rate - spin * normal
@@ -219,28 +223,28 @@ def resisting_moments(
     along_n = (rests * of_spin - of_roll) * normal
     along_t = ((size > CREEP_RATE).astype(spin.dtype) * of_roll / size**2) * roll
     rows = zip(along_n, along_t, strict=True)
-    return ResistingMoments(
-        moment, Matrix(*(a * normal - b * roll + axis_vector(k, of_roll) for k, (a, b) in enumerate(rows)))
+    return RollingResistanceMoments(
+        moment, Matrix(*(a * normal - b * roll + vector_along_axis(k, of_roll) for k, (a, b) in enumerate(rows)))
     )
 
 
-class BodyContactRole(NamedTuple):
+class BodyContactJacobian(NamedTuple):
     """Role of the base or a free body in n contacts: which points it carries, and which points stand on it."""
 
     body: int
     sign: Float[Array, " n"] | None  # 1 carries, -1 is stood on, 0 neither; None: it carries all
     points: Vector  # m, of the points from the body's origin
 
-    def apply_sign(self, v: Vector) -> Vector:
+    def apply_contact_signs(self, v: Vector) -> Vector:
         """Multiply each point's vector by 1 if the body carries the point, -1 if it supports the point, else 0."""
         return v if self.sign is None else self.sign * v
 
-    def wrench_rows(self, m: Matrix) -> tuple[Matrix, Matrix]:
+    def force_rows_to_wrench(self, m: Matrix) -> tuple[Matrix, Matrix]:
         """Convert rows of a matrix for forces on contact points to rows for force and torque on the body."""
         m = m if self.sign is None else m.scale(self.sign)
         return m, m.transpose.times_cross_matrix(-self.points).transpose
 
-    def twist_columns(self, m: Matrix) -> tuple[Matrix, Matrix]:
+    def velocity_columns_to_twist(self, m: Matrix) -> tuple[Matrix, Matrix]:
         """Convert a matrix for velocities of contact points to matrices for the body's linear and angular velocity."""
         m = m if self.sign is None else m.scale(self.sign)
         return m, m.times_cross_matrix(-self.points)
@@ -250,41 +254,47 @@ class ContactSet(NamedTuple):
     """Contact points that follow one contact law: the feet, or the contact sites of free bodies."""
 
     geometry: ContactGeometry
-    arms: tuple[BodyContactRole, ...]
+    arms: tuple[BodyContactJacobian, ...]
     rolling: RollingResistance | None = None
 
     def velocity(self, root: Sequence[SpatialVector]) -> Vector:
         """Return velocities of the points relative to their surfaces (m/s), from those of base and free bodies."""
         return reduce(
-            add, [arm.apply_sign(root[arm.body].linear + root[arm.body].angular.cross(arm.points)) for arm in self.arms]
+            add,
+            [
+                arm.apply_contact_signs(root[arm.body].linear + root[arm.body].angular.cross(arm.points))
+                for arm in self.arms
+            ],
         )
 
     def relative_spin(self, root: Sequence[SpatialVector]) -> Vector:
         """Return angular velocities (rad/s) of bodies with contact points relative to the bodies they touch."""
-        return reduce(add, [arm.apply_sign(root[arm.body].angular) for arm in self.arms])
+        return reduce(add, [arm.apply_contact_signs(root[arm.body].angular) for arm in self.arms])
 
     def root_wrenches(self, force: Vector, moment: Vector | None = None) -> list[tuple[int, SpatialVector]]:
         """Return force and torque on base and free bodies, from forces and moments at the contact points."""
         out = []
         for arm in self.arms:
-            own = arm.apply_sign(force)
-            torque = arm.points.cross(own) if moment is None else arm.points.cross(own) + arm.apply_sign(moment)
-            out.append((arm.body, SpatialVector(own.total(), torque.total())))
+            own = arm.apply_contact_signs(force)
+            torque = (
+                arm.points.cross(own) if moment is None else arm.points.cross(own) + arm.apply_contact_signs(moment)
+            )
+            out.append((arm.body, SpatialVector(own.sum_last_axis(), torque.sum_last_axis())))
         return out
 
 
-def body_contact_arms(
+def free_body_contact_jacobians(
     points: Vector, body: Array, owner: Sequence[int], origins: Sequence[Vector]
-) -> tuple[BodyContactRole, ...]:
+) -> tuple[BodyContactJacobian, ...]:
     """Return for each free body which contact points it carries (`owner`), and which points stand on it (`body`)."""
     shares = [jnp.equal(np.array(owner), k) - (body == k).astype(points.x.dtype) for k in range(len(origins))]
     return tuple(
-        BodyContactRole(k + 1, share, points - origin)
+        BodyContactJacobian(k + 1, share, points - origin)
         for k, (share, origin) in enumerate(zip(shares, origins, strict=True))
     )
 
 
-class ContactStart(NamedTuple):
+class DetectedContacts(NamedTuple):
     """Contacts of the feet, or of free bodies, at the start of a step; world axes unless stated otherwise."""
 
     contacts: ContactSet
@@ -294,7 +304,7 @@ class ContactStart(NamedTuple):
 
     def next_anchors(
         self, law: Contact, forces: ContactForces, velocity: Vector, rotation: Matrix, frames: Frames, h: float
-    ) -> Anchors:
+    ) -> ContactAnchors:
         """Return the contact anchors (spring attachments) after the step, from forces and velocities in base axes."""
         world = forces._replace(tangential=rotation @ forces.tangential)
         return update_anchors(
@@ -303,8 +313,8 @@ class ContactStart(NamedTuple):
 
 
 def find_contacts(
-    case: Case, anchors: Sequence[Anchors], base: Vector, rotation: Matrix, feet: Vector, free: FreeBodies
-) -> list[ContactStart]:
+    case: Case, anchors: Sequence[ContactAnchors], base: Vector, rotation: Matrix, feet: Vector, free: FreeBodies
+) -> list[DetectedContacts]:
     """Find the contacts at the start of a step: those of the feet, then those of free bodies.
 
     Args:
@@ -317,7 +327,7 @@ def find_contacts(
     """
     to_base, at = rotation.transpose, [feet, *free_bodies.contact_sites(case, free)]
     points = [base + rotation @ each for each in at]
-    owner, bodies = free_bodies.contact_owners(case), free_bodies.join_body_poses(free, feet.x.dtype)
+    owner, bodies = free_bodies.contact_owners(case), free_bodies.body_pose_arrays(free, feet.x.dtype)
     surface = case.obstacle.surface(jnp.concatenate([each.array() for each in points]), owner, bodies)
     touches = []
     for k, (held, span) in enumerate(zip(anchors, (slice(N_LEGS), slice(N_LEGS, None)), strict=False)):
@@ -327,8 +337,8 @@ def find_contacts(
             offset = -own.rolling.radius * Vector.from_array(own.normal)
             point, place = point + offset, place + to_base @ offset
         geometry, anchor = contact_geometry(case.contact, own, held, point, free.frames)
-        carried = body_contact_arms(place, own.body, owner[span], free.origins)
+        carried = free_body_contact_jacobians(place, own.body, owner[span], free.origins)
         if k == 0:
-            carried = (BodyContactRole(0, None, place), *carried)
-        touches.append(ContactStart(ContactSet(geometry.rotate(to_base), carried, own.rolling), own, point, anchor))
+            carried = (BodyContactJacobian(0, None, place), *carried)
+        touches.append(DetectedContacts(ContactSet(geometry.rotate(to_base), carried, own.rolling), own, point, anchor))
     return touches

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 
 from sweep.core.constants import GRAVITY
 from sweep.core.vectors import Matrix, Vector
-from sweep.dynamics.spatial import Inertia, Motion, Pose, SpatialVector
+from sweep.dynamics.spatial import GeneralizedVector, Inertia, SpatialVector, SystemPose
 from sweep.models.case import Case
 from sweep.models.legs import N_LEGS
-from sweep.models.obstacles.surface import BodyPoses, FreeState, free_start_state
+from sweep.models.obstacles.surface import BodyPoses, FreeBodyState, free_start_state
 
 Frames = Sequence[tuple[Vector, Matrix]]  # (1,) of each body: place of its origin, and its own axes to the world's
 
@@ -23,7 +23,7 @@ class FreeBodies(NamedTuple):
     frames: Frames  # world axes
 
 
-def kinematics(pose: Pose, to_base: Matrix) -> FreeBodies:
+def kinematics(pose: SystemPose, to_base: Matrix) -> FreeBodies:
     """Compute positions and axes of the free bodies in base axes; `to_base` rotates from world to base axes."""
     base, *free = pose.root
     frames = [(place.position, place.rotation()) for place in free]
@@ -31,10 +31,10 @@ def kinematics(pose: Pose, to_base: Matrix) -> FreeBodies:
     return FreeBodies(origins, [to_base.times(rotation) for _, rotation in frames], frames)
 
 
-def start_at_rest(case: Case) -> FreeState:
+def resting_start_state(case: Case) -> FreeBodyState:
     """Return the start state of free bodies at rest, sunk into the floor until contact forces carry their weight."""
     free, obstacle = free_start_state(case.obstacle), case.obstacle
-    if not obstacle.lying:
+    if not obstacle.sizes_learnable_from_height:
         return free
     masses = jnp.stack(
         [jnp.asarray(obstacle.batched_model_fields()["body_mass"][name]) for name in obstacle.free_bodies]
@@ -79,13 +79,15 @@ def contact_owners(case: Case) -> tuple[int, ...]:
     return (-1,) * N_LEGS + tuple(body for _, body in case.obstacle.contact_sites)
 
 
-def external_wrenches(case: Case, pose: Pose, motion: Motion, bodies: FreeBodies) -> list[SpatialVector]:
+def external_wrenches(
+    case: Case, pose: SystemPose, motion: GeneralizedVector, bodies: FreeBodies
+) -> list[SpatialVector]:
     """Return forces (N) and torques (N m) on free bodies other than weight and contact, world axes; may be empty."""
     if not bodies.frames:
         return []
     turned = [own.rotate(rotation) for own, (_, rotation) in zip(motion.root[1:], bodies.frames, strict=True)]
     load = case.obstacle.external_wrench(
-        FreeState(
+        FreeBodyState(
             jnp.concatenate([place.position.array() for place in pose.root[1:]]),
             jnp.stack([jnp.concatenate(place.quat) for place in pose.root[1:]]),
             jnp.concatenate([own.linear.array() for own in turned]),
@@ -99,7 +101,7 @@ def external_wrenches(case: Case, pose: Pose, motion: Motion, bodies: FreeBodies
     )
 
 
-def join_body_poses(bodies: FreeBodies, dtype: jnp.dtype) -> BodyPoses:
+def body_pose_arrays(bodies: FreeBodies, dtype: jnp.dtype) -> BodyPoses:
     """Convert poses of free bodies from components to arrays."""
     if not bodies.frames:
         return BodyPoses(jnp.zeros((0, 3), dtype), jnp.zeros((0, 3, 3), dtype))

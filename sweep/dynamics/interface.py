@@ -14,7 +14,7 @@ import numpy as np
 from sweep.core.errors import InputError
 from sweep.core.vectors import Vector
 from sweep.dynamics.free_bodies import contact_owners
-from sweep.dynamics.spatial import MassMatrix, Motion, Pose
+from sweep.dynamics.spatial import GeneralizedVector, MassMatrix, SystemPose
 from sweep.models import scene
 from sweep.models.case import Case
 from sweep.models.legs import JOINT_NAMES, LEGS, N_LEGS
@@ -39,15 +39,17 @@ class RobotDynamicsTerms(NamedTuple):
     """Mass matrix, bias and foot Jacobians of the robot at one pose and motion, base axes from the base's origin."""
 
     mass: MassMatrix  # with armature
-    bias: Motion  # Coriolis and gravity
+    bias: GeneralizedVector  # Coriolis and gravity
     joints: tuple[Vector, ...]  # (l,) m, along a leg: hip, (end of the coxa,) knee, foot
     foot: tuple[Vector, Vector, Vector]  # (l,) velocity of the foot per rate of a joint
 
 
-SmoothDynamics = Callable[[Pose, Motion], RobotDynamicsTerms]  # of one world; motions in the bodies' own axes
+SmoothDynamics = Callable[
+    [SystemPose, GeneralizedVector], RobotDynamicsTerms
+]  # of one world; motions in the bodies' own axes
 
 
-def topology(case: Case) -> ModelTopology:
+def build_model_topology(case: Case) -> ModelTopology:
     """Compile the MuJoCo model of a rollout's parameters (plain numbers), and build tables of its bodies and joints.
 
     Raises:

@@ -12,7 +12,7 @@ from mujoco.mjx._src import smooth
 
 from sweep.core.vectors import Matrix, Vector
 from sweep.dynamics.interface import ModelTopology, RobotDynamicsTerms, SmoothDynamics
-from sweep.dynamics.spatial import Inertia, MassMatrix, Motion, Pose, SpatialVector, pack_state
+from sweep.dynamics.spatial import GeneralizedVector, Inertia, MassMatrix, SpatialVector, SystemPose, pack_state
 from sweep.models import scene
 from sweep.models.case import Case
 from sweep.models.legs import N_LEGS
@@ -24,10 +24,12 @@ def mjx_dynamics(top: ModelTopology) -> Callable[[Case], SmoothDynamics]:
     """Build a function that computes mass matrix, bias forces and foot Jacobians by MJX."""
     model = mjx.put_model(top.model, impl="jax")
     data = mjx.make_data(model, impl="jax")
-    return lambda world: partial(smooth_dynamics, top, model.replace(**varying_fields(top, model, world)), data)
+    return lambda world: partial(
+        smooth_dynamics, top, model.replace(**parameter_dependent_fields(top, model, world)), data
+    )
 
 
-def varying_fields(top: ModelTopology, model: mjx.Model, case: Case) -> dict[str, Array]:
+def parameter_dependent_fields(top: ModelTopology, model: mjx.Model, case: Case) -> dict[str, Array]:
     """Return the MJX model fields that depend on varied parameters, by name; values may be traced."""
     changed = {}
     for field, values in scene.batched_model_fields(case).items():
@@ -42,7 +44,7 @@ def varying_fields(top: ModelTopology, model: mjx.Model, case: Case) -> dict[str
 
 
 def smooth_dynamics(
-    top: ModelTopology, model: mjx.Model, data: mjx.Data, pose: Pose, motion: Motion
+    top: ModelTopology, model: mjx.Model, data: mjx.Data, pose: SystemPose, motion: GeneralizedVector
 ) -> RobotDynamicsTerms:
     """Compute mass matrix, bias forces and foot Jacobians at a pose and motion with MJX."""
     q, v = pack_state(pose, motion)
@@ -71,7 +73,7 @@ def smooth_dynamics(
     joints = [*jnp.swapaxes(links, 0, 1), foot]
     return RobotDynamicsTerms(
         MassMatrix((inertia,), columns, Matrix.from_array(m_leg)),  # pyright: ignore
-        Motion((forces,), tuple(bias[top.leg_dofs].T)),  # pyright: ignore
+        GeneralizedVector((forces,), tuple(bias[top.leg_dofs].T)),  # pyright: ignore
         tuple(Vector.from_array((joint - d.xpos[BASE_BODY_ID]) @ turned) for joint in joints),
         tuple(Vector.from_array(swept[:, k] @ turned) for k in range(3)),  # pyright: ignore
     )

@@ -4,9 +4,9 @@ from functools import reduce
 from operator import add
 from typing import NamedTuple
 
-from sweep.core.vectors import Matrix, Vector, cross_matrix, diagonal
-from sweep.dynamics.contacts import BodyContactRole, ContactSet
-from sweep.dynamics.spatial import JointTriple, MassMatrix, Motion, SpatialVector
+from sweep.core.vectors import Matrix, Vector, cross_matrix, diagonal_matrix
+from sweep.dynamics.contacts import BodyContactJacobian, ContactSet
+from sweep.dynamics.spatial import GeneralizedVector, JointTriple, MassMatrix, SpatialVector
 
 
 class LegElimination(NamedTuple):
@@ -29,8 +29,8 @@ def newton_direction(
     contacts: tuple[ContactSet, ...],
     slopes: list[Matrix],
     rolling: Matrix | None,
-    right: Motion,
-) -> Motion:
+    right: GeneralizedVector,
+) -> GeneralizedVector:
     """Solve the linear system of a Newton iteration (mass plus stiffness of contacts, drives, rolling) for x.
 
     `slopes` are -h d force / d velocity of feet and sites, `rolling` is -h d moment / d rate of the sites; `stiff` is
@@ -42,28 +42,28 @@ def newton_direction(
     blocks = BlockMatrix()
     for i in range(2):
         for j in range(2):
-            blocks.add(i, j, legs.schur_blocks[i][j].total())
+            blocks.add_block(i, j, legs.schur_blocks[i][j].sum_last_axis())
     for arm in others:
         _add_standing_legs(blocks, arm, legs.schur_blocks)
     if sites:
         _add_free_contacts(blocks, sites[0].arms, slopes[1], rolling)
     for k, body in enumerate(mass.root):
-        blocks.add(2 * k, 2 * k, diagonal(body.mass, body.mass, body.mass))
-        blocks.add(2 * k + 1, 2 * k + 1, body.inertia)
+        blocks.add_block(2 * k, 2 * k, diagonal_matrix(body.mass, body.mass, body.mass))
+        blocks.add_block(2 * k + 1, 2 * k + 1, body.inertia)
         if body.moment is not None:
             cross = cross_matrix(body.moment)
-            blocks.add(2 * k, 2 * k + 1, cross.negative)
-            blocks.add(2 * k + 1, 2 * k, cross)
+            blocks.add_block(2 * k, 2 * k + 1, cross.negative)
+            blocks.add_block(2 * k + 1, 2 * k, cross)
     leg = legs.inverse @ Vector(*right.leg)
     known = [part for body in right.root for part in body]
     for column, rate in zip(legs.leg_columns, leg, strict=True):
         for i in range(2):
-            known[i] = known[i] - (rate * column[i]).total()
+            known[i] = known[i] - (rate * column[i]).sum_last_axis()
         for arm in others:
             linear, angular = (2 * arm.body + i for i in range(2))
-            own = arm.apply_sign(rate * column[2])
-            known[linear] = known[linear] - own.total()
-            known[angular] = known[angular] - arm.points.cross(own).total()
+            own = arm.apply_contact_signs(rate * column[2])
+            known[linear] = known[linear] - own.sum_last_axis()
+            known[angular] = known[angular] - arm.points.cross(own).sum_last_axis()
     x = blocks.solve(known)
     root = tuple(SpatialVector(x[2 * k], x[2 * k + 1]) for k in range(len(mass.root)))
     felt = [*root[0]]
@@ -73,14 +73,14 @@ def newton_direction(
         part - reduce(add, (c.dot(v) for c, v in zip(columns, felt, strict=True)))
         for part, columns in zip(leg, legs.rate_columns, strict=True)
     )
-    return Motion(root, rates)  # pyright: ignore
+    return GeneralizedVector(root, rates)  # pyright: ignore
 
 
 def _eliminate_legs(
     mass: MassMatrix,
     j_leg: tuple[Vector, Vector, Vector],
     stiff: JointTriple,
-    arm: BodyContactRole,
+    arm: BodyContactJacobian,
     slope: Matrix,
     moving: bool,
 ) -> LegElimination:
@@ -95,11 +95,11 @@ def _eliminate_legs(
 
     upper, lower = columns(pulls), columns(pushes)
     leg = Matrix(*(Vector(*(j.dot(f) for f in pulls)) for j in j_leg)).plus(mass.leg)
-    inverse = leg.plus(diagonal(*stiff)).inverse()
+    inverse = leg.plus(diagonal_matrix(*stiff)).inverse()
     a, b, c = lower
     solved = [[row.x * a[i] + row.y * b[i] + row.z * c[i] for i in range(2 + moving)] for row in inverse]
-    moved, turned = arm.twist_columns(slope)[1], arm.wrench_rows(slope)[1]
-    direct = [[slope, moved, slope], [turned, arm.wrench_rows(moved)[1], turned], [slope, moved, slope]]
+    moved, turned = arm.velocity_columns_to_twist(slope)[1], arm.force_rows_to_wrench(slope)[1]
+    direct = [[slope, moved, slope], [turned, arm.force_rows_to_wrench(moved)[1], turned], [slope, moved, slope]]
 
     def rest(i: int, j: int) -> Matrix:
         rows = []
@@ -112,19 +112,19 @@ def _eliminate_legs(
     return LegElimination(upper, solved, inverse, [[rest(i, j) for j in range(2 + moving)] for i in range(2 + moving)])
 
 
-def _add_standing_legs(blocks: "BlockMatrix", arm: BodyContactRole, leg_block: list[list[Matrix]]) -> None:
+def _add_standing_legs(blocks: "BlockMatrix", arm: BodyContactJacobian, leg_block: list[list[Matrix]]) -> None:
     """Add the stiffness that free bodies feel from the legs that stand on them."""
     ground = 2
     for i in range(2):
-        for j, column in enumerate(arm.twist_columns(leg_block[i][ground])):
-            blocks.add(i, 2 * arm.body + j, column.total())
-        for j, row in enumerate(arm.wrench_rows(leg_block[ground][i])):
-            blocks.add(2 * arm.body + j, i, row.total())
+        for j, column in enumerate(arm.velocity_columns_to_twist(leg_block[i][ground])):
+            blocks.add_block(i, 2 * arm.body + j, column.sum_last_axis())
+        for j, row in enumerate(arm.force_rows_to_wrench(leg_block[ground][i])):
+            blocks.add_block(2 * arm.body + j, i, row.sum_last_axis())
     _couple(blocks, arm, arm, leg_block[ground][ground])
 
 
 def _add_free_contacts(
-    blocks: "BlockMatrix", touching: tuple[BodyContactRole, ...], slope: Matrix, turning: Matrix | None
+    blocks: "BlockMatrix", touching: tuple[BodyContactJacobian, ...], slope: Matrix, turning: Matrix | None
 ) -> None:
     """Add the stiffness of contacts of free bodies with the world and each other; `turning` resists rolling."""
     for one in touching:
@@ -132,13 +132,13 @@ def _add_free_contacts(
             _couple(blocks, one, other, slope)
             if turning is not None:
                 shared = turning.scale(one.sign).scale(other.sign)  # pyright: ignore
-                blocks.add(2 * one.body + 1, 2 * other.body + 1, shared.total())
+                blocks.add_block(2 * one.body + 1, 2 * other.body + 1, shared.sum_last_axis())
 
 
-def _couple(blocks: "BlockMatrix", first: BodyContactRole, second: BodyContactRole, slope: Matrix) -> None:
-    for i, row in enumerate(first.wrench_rows(slope)):
-        for j, block in enumerate(second.twist_columns(row)):
-            blocks.add(2 * first.body + i, 2 * second.body + j, block.total())
+def _couple(blocks: "BlockMatrix", first: BodyContactJacobian, second: BodyContactJacobian, slope: Matrix) -> None:
+    for i, row in enumerate(first.force_rows_to_wrench(slope)):
+        for j, block in enumerate(second.velocity_columns_to_twist(row)):
+            blocks.add_block(2 * first.body + i, 2 * second.body + j, block.sum_last_axis())
 
 
 class BlockMatrix:
@@ -147,7 +147,7 @@ class BlockMatrix:
     def __init__(self) -> None:
         self.blocks: dict[tuple[int, int], Matrix] = {}
 
-    def add(self, i: int, j: int, block: Matrix) -> None:
+    def add_block(self, i: int, j: int, block: Matrix) -> None:
         """Add a 3x3 block to the block at row `i` and column `j`."""
         self.blocks[i, j] = self.blocks[i, j].plus(block) if (i, j) in self.blocks else block
 

@@ -12,18 +12,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.core.vectors import Matrix, Vector, rotation, total
+from sweep.core.vectors import Matrix, Vector, rotation_from_quaternion, sum_last_axis
 from sweep.models.legs import N_LEGS
 
 JointTriple = tuple[Array, Array, Array]  # (l,) of alpha, beta, gamma
 
 
-def split_joints(values: Float[Array, "l 3"]) -> JointTriple:
+def split_leg_joints(values: Float[Array, "l 3"]) -> JointTriple:
     """Split joint values (l, 3) of all legs into three arrays alpha, beta, gamma (l,)."""
     return values[:, 0], values[:, 1], values[:, 2]
 
 
-def map_joints(f: Callable[..., Array], *values: tuple[Any, Any, Any]) -> JointTriple:
+def map_leg_joints(f: Callable[..., Array], *values: tuple[Any, Any, Any]) -> JointTriple:
     """Apply `f` to the three joint values alpha, beta and gamma in turn, taking each from all arguments."""
     alpha, beta, gamma = (f(*parts) for parts in zip(*values, strict=True))
     return alpha, beta, gamma
@@ -52,7 +52,7 @@ class RootPose(NamedTuple):
 
     def rotation(self) -> Matrix:
         """Rotation from body to world axes."""
-        return rotation(*self.quat)
+        return rotation_from_quaternion(*self.quat)
 
     def integrate(self, velocity: Vector, spin: Vector, h: float) -> "RootPose":
         """Integrate over h seconds at `velocity` (m/s, world axes) and `spin` (rad/s, body axes)."""
@@ -71,23 +71,23 @@ class RootPose(NamedTuple):
         return RootPose(self.position + h * velocity, tuple(part * scale for part in out))  # pyright: ignore
 
 
-class Pose(NamedTuple):
+class SystemPose(NamedTuple):
     """Poses of all root bodies (base and free bodies), and joint angles of the legs."""
 
     root: tuple[RootPose, ...]
     angle: JointTriple  # (l,) rad: alpha, beta, gamma
 
 
-class Motion(NamedTuple):
+class GeneralizedVector(NamedTuple):
     """Velocities of base, free bodies and joints, or momenta or forces of that form; each use names the axes."""
 
     root: tuple[SpatialVector, ...]
     leg: JointTriple
 
-    def dot(self, other: "Motion") -> Array:
+    def dot(self, other: "GeneralizedVector") -> Array:
         """Return the power (1,): the scalar product of velocities and forces."""
         bodies = sum(a.dot(b) for a, b in zip(self.root, other.root, strict=True))
-        return bodies + total(sum(a * b for a, b in zip(self.leg, other.leg, strict=True)))  # pyright: ignore
+        return bodies + sum_last_axis(sum(a * b for a, b in zip(self.leg, other.leg, strict=True)))  # pyright: ignore
 
 
 class Inertia(NamedTuple):
@@ -112,23 +112,26 @@ class MassMatrix(NamedTuple):
     cross: tuple[SpatialVector, SpatialVector, SpatialVector]  # (l,) momentum of the leg per rate of a joint
     leg: Matrix  # (l,)
 
-    def momentum(self, v: Motion) -> Motion:
+    def momentum(self, v: GeneralizedVector) -> GeneralizedVector:
         """Return the momentum of all bodies that move at velocities `v`."""
         base, *free = [inertia.momentum(motion) for inertia, motion in zip(self.root, v.root, strict=True)]
         linear, angular = base
         own = self.leg @ Vector(*v.leg)
         legs = tuple(c.dot(v.root[0]) + p for c, p in zip(self.cross, own, strict=True))
         for column, rate in zip(self.cross, v.leg, strict=True):
-            linear, angular = linear + (rate * column.linear).total(), angular + (rate * column.angular).total()
-        return Motion((SpatialVector(linear, angular), *free), legs)  # pyright: ignore
+            linear, angular = (
+                linear + (rate * column.linear).sum_last_axis(),
+                angular + (rate * column.angular).sum_last_axis(),
+            )
+        return GeneralizedVector((SpatialVector(linear, angular), *free), legs)  # pyright: ignore
 
 
-def add_scaled(a, share: Array | float, b):
+def tree_add_scaled(a, share: Array | float, b):
     """Return a + share * b for each pair of leaves of two trees with the same structure."""
     return jax.tree.map(lambda x, y: x + share * y, a, b)
 
 
-def unpack_state(q: Array, v: Array) -> tuple[Pose, Motion]:
+def unpack_state(q: Array, v: Array) -> tuple[SystemPose, GeneralizedVector]:
     """Split MuJoCo's qpos and qvel into poses and motions of base, legs and free bodies; motions are in body axes."""
     joints = 3 * N_LEGS
     angle, rate = q[7 : 7 + joints].reshape(N_LEGS, 3), v[6 : 6 + joints].reshape(N_LEGS, 3)
@@ -140,10 +143,10 @@ def unpack_state(q: Array, v: Array) -> tuple[Pose, Motion]:
         place = RootPose(Vector(x, y, z), tuple(quat))  # pyright: ignore
         places.append(place)
         motions.append(SpatialVector(place.rotation().transpose @ Vector(*moving[:3]), Vector(*moving[3:])))
-    return Pose(tuple(places), split_joints(angle)), Motion(tuple(motions), split_joints(rate))
+    return SystemPose(tuple(places), split_leg_joints(angle)), GeneralizedVector(tuple(motions), split_leg_joints(rate))
 
 
-def pack_state(pose: Pose, v: Motion) -> tuple[Array, Array]:
+def pack_state(pose: SystemPose, v: GeneralizedVector) -> tuple[Array, Array]:
     """Join poses and motions to MuJoCo's qpos and qvel, the inverse of `unpack_state`."""
     angle, rate = (jnp.stack(parts, axis=-1).reshape(-1) for parts in (pose.angle, v.leg))
     places = [[*place.position, *place.quat] for place in pose.root]

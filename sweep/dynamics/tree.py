@@ -11,9 +11,9 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from sweep.core.constants import GRAVITY
-from sweep.core.vectors import Matrix, Number, Vector, symmetric
+from sweep.core.vectors import Matrix, Number, Vector, symmetric_matrix
 from sweep.dynamics.interface import RobotDynamicsTerms, SmoothDynamics
-from sweep.dynamics.spatial import Inertia, JointTriple, MassMatrix, Motion, Pose, SpatialVector
+from sweep.dynamics.spatial import GeneralizedVector, Inertia, JointTriple, MassMatrix, SpatialVector, SystemPose
 from sweep.formulas.leg import SIDE_BY_LEG
 from sweep.models.case import Case
 from sweep.models.posture import leg_mounts
@@ -30,7 +30,7 @@ class LegLink(NamedTuple):
     direction: Vector
     joint: int  # the last joint before it
 
-    def inertia_times(self, u: Vector) -> Vector:
+    def multiply_by_inertia(self, u: Vector) -> Vector:
         """Multiply the inertia tensor about the link's centre by a vector."""
         return (
             self.transverse_inertia * u
@@ -40,7 +40,7 @@ class LegLink(NamedTuple):
 
 def tree_dynamics(world: Case) -> SmoothDynamics:
     """Build a function that computes mass matrix, bias forces and foot Jacobians from explicit equations."""
-    return partial(tree_terms, world.robot, world.drive.armature)
+    return partial(robot_dynamics_terms, world.robot, world.drive.armature)
 
 
 def leg_links(robot: Robot, angle: JointTriple) -> tuple[Vector, list[LegLink]]:
@@ -64,7 +64,7 @@ def leg_links(robot: Robot, angle: JointTriple) -> tuple[Vector, list[LegLink]]:
     return across, found
 
 
-def tree_terms(robot: Robot, armature: Number, pose: Pose, v: Motion) -> RobotDynamicsTerms:
+def robot_dynamics_terms(robot: Robot, armature: Number, pose: SystemPose, v: GeneralizedVector) -> RobotDynamicsTerms:
     """Compute mass matrix, bias forces and foot Jacobians leg by leg, by recursive Newton-Euler and composite bodies.
 
     The bias is the force that keeps all generalised accelerations zero; the linear one is that in world axes, so that
@@ -91,7 +91,7 @@ def tree_terms(robot: Robot, armature: Number, pose: Pose, v: Motion) -> RobotDy
         acceleration = acceleration + turning.cross(link.vector) + spin.cross(spin.cross(link.vector))
         centres.append(start + half)
         forces.append(link.mass * at_centre)
-        moments.append(link.inertia_times(turning) + spin.cross(link.inertia_times(spin)))
+        moments.append(link.multiply_by_inertia(turning) + spin.cross(link.multiply_by_inertia(spin)))
         start = start + link.vector
         joints.append(start)
     leg_bias, columns = [], []
@@ -101,19 +101,20 @@ def tree_terms(robot: Robot, armature: Number, pose: Pose, v: Motion) -> RobotDy
         leg_bias.append(axes[k].dot(moment))
         momenta = [links[i].mass * axes[k].cross(centres[i] - origins[k]) for i in moved]
         angular = reduce(
-            add, (links[i].inertia_times(axes[k]) + centres[i].cross(p) for i, p in zip(moved, momenta, strict=True))
+            add,
+            (links[i].multiply_by_inertia(axes[k]) + centres[i].cross(p) for i, p in zip(moved, momenta, strict=True)),
         )
         columns.append(SpatialVector(reduce(add, momenta), angular))
     box = _box(robot)
     spin_base = v.root[0].angular
-    wrench = reduce(add, forces).total() - robot.body_mass * gravity
-    twist = reduce(add, (m + c.cross(f) for m, c, f in zip(moments, centres, forces, strict=True))).total()
+    wrench = reduce(add, forces).sum_last_axis() - robot.body_mass * gravity
+    twist = reduce(add, (m + c.cross(f) for m, c, f in zip(moments, centres, forces, strict=True))).sum_last_axis()
     twist = twist + spin_base.cross(Vector(box[0] * spin_base.x, box[1] * spin_base.y, box[2] * spin_base.z))
     feet = tuple(a.cross(start - o) for a, o in zip(axes, origins, strict=True))
-    mass = MassMatrix(
-        (_composite(robot, links, centres),), tuple(columns), _leg_block(axes, origins, columns, armature)
-    )  # pyright: ignore
-    return RobotDynamicsTerms(mass, Motion((SpatialVector(wrench, twist),), tuple(leg_bias)), tuple(joints), feet)  # pyright: ignore
+    body = _composite(robot, links, centres)
+    mass = MassMatrix((body,), tuple(columns), _leg_block(axes, origins, columns, armature))  # pyright: ignore
+    bias = GeneralizedVector((SpatialVector(wrench, twist),), tuple(leg_bias))
+    return RobotDynamicsTerms(mass, bias, tuple(joints), feet)  # pyright: ignore
 
 
 def _box(robot: Robot) -> tuple[Number, Number, Number]:
@@ -142,10 +143,10 @@ def _composite(robot: Robot, links: list[LegLink], centres: list[Vector]) -> Ine
             entries[k] = entries[k] + extra * d1 * d2 - m * c1 * c2 + (round_ if k < 3 else 0.0)
     totals = [jnp.sum(entry, axis=-1, keepdims=True) for entry in entries]
     box = _box(robot)
-    inertia = symmetric(*[totals[k] + (box[k] if k < 3 else 0.0) for k in range(6)])
+    inertia = symmetric_matrix(*[totals[k] + (box[k] if k < 3 else 0.0) for k in range(6)])
     legs = centres[0].x.shape[-1]
     mass = robot.body_mass + legs * sum(link.mass for link in links)
-    return Inertia(mass * jnp.ones_like(totals[0]), moment.total(), inertia)
+    return Inertia(mass * jnp.ones_like(totals[0]), moment.sum_last_axis(), inertia)
 
 
 def _leg_block(axes: tuple, origins: list[Vector], columns: list[SpatialVector], armature: Number) -> Matrix:
@@ -155,4 +156,4 @@ def _leg_block(axes: tuple, origins: list[Vector], columns: list[SpatialVector],
         return axes[i].dot(columns[j].angular - origins[i].cross(columns[j].linear))
 
     e = {(i, j): entry(i, j) for i in range(3) for j in range(i, 3)}
-    return symmetric(e[0, 0] + armature, e[1, 1] + armature, e[2, 2] + armature, e[0, 1], e[0, 2], e[1, 2])
+    return symmetric_matrix(e[0, 0] + armature, e[1, 1] + armature, e[2, 2] + armature, e[0, 1], e[0, 2], e[1, 2])

@@ -55,7 +55,7 @@ class BatchOperand(NamedTuple):
     cost: int = 0  # operations to compute it again from values in memory
 
 
-class BatchContext(NamedTuple):
+class BatchedProgramSettings(NamedTuple):
     """Settings of one batched program: the batch size, and the cost above which computed values are kept in memory."""
 
     size: int
@@ -84,7 +84,7 @@ def batch_last_vmap(function: Callable, in_axes: Sequence[Any], reuse_from: int)
         one = [jax.ShapeDtypeStruct(x.value.shape[: x.value.ndim - x.is_batched], x.value.dtype) for x in inputs]
         trace = jax.make_jaxpr(lambda *leaves: function(*jax.tree.unflatten(tree, leaves)), return_shape=True)
         program, shape = trace(*one)
-        outputs = _evaluate(program, inputs, BatchContext(size, reuse_from))
+        outputs = _evaluate(program, inputs, BatchedProgramSettings(size, reuse_from))
         return jax.tree.unflatten(jax.tree.structure(shape), [_broadcast_batch(out, size) for out in outputs])
 
     return batched
@@ -102,7 +102,9 @@ def _broadcast_batch(x: BatchOperand, size: int) -> Array:
     return value if x.is_batched else jnp.broadcast_to(value[..., None], (*value.shape, size))
 
 
-def _evaluate(program: ClosedJaxpr, inputs: Sequence[BatchOperand], batch: BatchContext) -> list[BatchOperand]:
+def _evaluate(
+    program: ClosedJaxpr, inputs: Sequence[BatchOperand], batch: BatchedProgramSettings
+) -> list[BatchOperand]:
     """Results of `program` on `inputs`."""
     jaxpr = program.jaxpr
     known: dict[Any, BatchOperand] = {}
@@ -128,7 +130,7 @@ def _evaluate(program: ClosedJaxpr, inputs: Sequence[BatchOperand], batch: Batch
     return [read(atom) for atom in jaxpr.outvars]
 
 
-def _apply(eqn: Any, args: list[BatchOperand], batch: BatchContext) -> list[BatchOperand]:
+def _apply(eqn: Any, args: list[BatchOperand], batch: BatchedProgramSettings) -> list[BatchOperand]:
     """Results of one operation."""
     name, params, size = eqn.primitive.name, eqn.params, batch.size
     if name in CALL_PRIMITIVES:
@@ -178,7 +180,7 @@ def _elementwise(eqn: Any, args: list[BatchOperand]) -> Any:
     return eqn.primitive.bind(*values, **eqn.params)
 
 
-def _scan(eqn: Any, args: list[BatchOperand], batch: BatchContext) -> list[BatchOperand]:
+def _scan(eqn: Any, args: list[BatchOperand], batch: BatchedProgramSettings) -> list[BatchOperand]:
     """A loop over the first axis; everything that it carries becomes batched."""
     program = eqn.params["jaxpr"]
     consts, carry, xs = split_scan_operands(eqn, args)
@@ -194,7 +196,7 @@ def _scan(eqn: Any, args: list[BatchOperand], batch: BatchContext) -> list[Batch
     return [BatchOperand(x, True) for x in (*last, *ys)]
 
 
-def _cond(eqn: Any, args: list[BatchOperand], batch: BatchContext) -> list[BatchOperand]:
+def _cond(eqn: Any, args: list[BatchOperand], batch: BatchedProgramSettings) -> list[BatchOperand]:
     """A branch that is the same for the whole batch."""
 
     def spread(branch: ClosedJaxpr) -> list[Array]:
@@ -203,7 +205,7 @@ def _cond(eqn: Any, args: list[BatchOperand], batch: BatchContext) -> list[Batch
     return _results(lax.switch(args[0].value, [partial(spread, branch) for branch in eqn.params["branches"]]), True)
 
 
-def _choose_branches(eqn: Any, args: list[BatchOperand], batch: BatchContext) -> list[BatchOperand]:
+def _choose_branches(eqn: Any, args: list[BatchOperand], batch: BatchedProgramSettings) -> list[BatchOperand]:
     """A branch of each rollout's own. A branch that no rollout takes is not computed."""
     index, operands = jnp.asarray(args[0].value, jnp.int32), args[1:]
     chosen = [jnp.zeros((*out.aval.shape, batch.size), out.aval.dtype) for out in eqn.outvars]
@@ -218,7 +220,7 @@ def _choose_branches(eqn: Any, args: list[BatchOperand], batch: BatchContext) ->
     return _results(chosen, True)
 
 
-def _while(eqn: Any, args: list[BatchOperand], batch: BatchContext) -> list[BatchOperand]:
+def _while(eqn: Any, args: list[BatchOperand], batch: BatchedProgramSettings) -> list[BatchOperand]:
     """A loop that ends when it has ended for all rollouts; one that has ended keeps its values meanwhile."""
     first, second = eqn.params["cond_nconsts"], eqn.params["body_nconsts"]
     read_by_test, read_by_body = args[:first], args[first : first + second]

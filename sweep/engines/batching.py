@@ -17,13 +17,13 @@ from sweep.controllers.layers import Command, ForceFeedforward
 from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import TrackerState
 from sweep.core.parameters import InputError
-from sweep.core.progress import time_step_part
+from sweep.core.progress import measure_part_duration
 from sweep.engines import planning, pre_rollout
 from sweep.engines.contact_forces import SurfaceContacts
-from sweep.fused.dependence import find_unread_columns
+from sweep.fused.dependence import find_inactive_parameters
 from sweep.metrics import accumulator, outcome
 from sweep.metrics.outcome import OutcomeThresholds
-from sweep.metrics.tick import MAX_DURATION_FACTOR, TickReport
+from sweep.metrics.tick import MAX_DURATION_FACTOR, EngineTickReport
 from sweep.models import scene
 from sweep.models.case import Case
 from sweep.models.legs import N_JOINTS
@@ -50,8 +50,8 @@ def _nominal_plan(belief: Case, dtype: np.dtype) -> Plan:
 
 
 def _compute_nominal_plan(belief: Case) -> Plan:
-    with time_step_part("nominal plan"):
-        plan = planning.evaluate_plan(lambda: belief.manoeuvre.plan(belief))
+    with measure_part_duration("nominal plan"):
+        plan = planning.evaluate_planning_function(lambda: belief.manoeuvre.plan(belief))
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(plan)):
         kinds = f"manoeuvre = {belief.manoeuvre.kind} on obstacle = {belief.obstacle.kind}"
         raise InputError(f"{kinds} has no plan for these sizes: a foothold or a path is out of reach")
@@ -66,19 +66,19 @@ def physics_steps_per_tick(settings: EngineSettings) -> int:
     return count_substeps(period, step, f"engine.{key} = {step:g} is not allowed: {allowed}")
 
 
-def select_row(case: Case, slot: int) -> Case:
+def rollout_parameters(case: Case, slot: int) -> Case:
     """Return the parameters of the rollout at index `slot` of a batch, as plain numbers."""
     return jax.tree.map(lambda x: float(x[slot]) if np.ndim(x) else x, case)
 
 
-def check_width(streams: np.ndarray, width: int) -> None:
+def check_batch_width(streams: np.ndarray, width: int) -> None:
     """Raise `ValueError` if a batch has another number of rollouts than the engine was made for."""
     if len(streams) != width:
         raise ValueError(f"a batch of {len(streams)} rollouts for an engine of width {width}")
 
 
 def record_tick(
-    command: Command, state: TrackerState, tick: TickReport, q: Array, v: Array, tick_summary: Array
+    command: Command, state: TrackerState, tick: EngineTickReport, q: Array, v: Array, tick_summary: Array
 ) -> dict[str, Array]:
     """Return the quantities of one control tick (state, targets, foot forces) that a trace records.
 
@@ -137,10 +137,10 @@ class BatchEngine:
         """Compute what the metrics of one rollout depend on; JAX only traces this function for analysis."""
         raise NotImplementedError
 
-    def find_unread_columns(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
+    def find_inactive_parameters(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
         """Find the parameters that cannot change any metric, by analysing the traced program of a rollout."""
         with devices.precision_context(self.settings):
-            return find_unread_columns(self.rollout_outputs, sides, ends)
+            return find_inactive_parameters(self.rollout_outputs, sides, ends)
 
     @devices.convert_memory_errors()
     def run(self, world: Case, belief: Case, streams: np.ndarray) -> Metrics:
@@ -159,7 +159,7 @@ class BatchEngine:
         figures, parts = self._simulate(world, belief, streams, slots, every)
         records = jax.tree.map(lambda *each: np.concatenate(each), *parts)
         tick = self.settings.control_period
-        return to_traces((world, belief), slots, figures, records, self.stages, self.limits, tick, every)
+        return traces_from_records((world, belief), slots, figures, records, self.stages, self.limits, tick, every)
 
 
 def require_trace(trace: Trace | MissingTrace) -> Trace:
@@ -182,7 +182,7 @@ def list_pushes(execution: Any, model: Any) -> tuple[Push, ...]:
     return (Push(base_body_id(model), force, start, start + length),) if force.any() else ()
 
 
-def to_traces(
+def traces_from_records(
     cases: tuple[Case, Case],
     slots: np.ndarray,
     figures: Metrics,
@@ -209,7 +209,7 @@ def to_traces(
     """
     traces: list[Trace | MissingTrace] = []
     for place, slot in enumerate(slots):
-        world, belief = (select_row(case, slot) for case in cases)
+        world, belief = (rollout_parameters(case, slot) for case in cases)
         row = {name: values[slot] for name, values in figures.items()}
         samples = round(float(row["duration_s"]) / tick) // every  # rounds off the error of summing many ticks
         kept = {name: values[:samples, place] for name, values in records.items()}

@@ -49,7 +49,7 @@ class CalibratingEngine:
         limits: OutcomeThresholds,
     ):
         self.settings, self.limits = settings, limits
-        pre_rollout.check_level_start(belief, batching.nominal_plan(belief), world.control.calibrate)
+        pre_rollout.check_calibration_stance(belief, batching.nominal_plan(belief), world.control.calibrate)
         others = {name: None for name in world.manoeuvre.goal if name not in CalibrationPoses.goal}
         self._limits = replace(limits, **others)  # pyright: ignore[reportArgumentType]
         self._poses = make(settings, _pose_case(world), _pose_case(belief), self._limits)
@@ -64,7 +64,7 @@ class CalibratingEngine:
         sizes = self._poses.rollout_bytes(), self._then.rollout_bytes()
         return None if None in sizes else max(size for size in sizes if size is not None)
 
-    def find_unread_columns(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
+    def find_inactive_parameters(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
         """Return an empty set: unused parameters cannot be found, as this engine is no single traced program."""
         return set()
 
@@ -166,11 +166,11 @@ def _compile_estimation(cases: tuple[Case, Case, PoseMeasurements]) -> Callable[
 
     def learned(world: Case, belief: Case, true: PoseMeasurements, key: Any) -> tuple[dict[str, Any], dict[str, Any]]:
         found = pre_rollout.calibrate_from_poses(world, belief, true, key)
-        return {name: getattr(found.robot, name) for name in learnable_sizes(found.robot)}, calibration.learned_sizes(
-            found
-        )
+        return {
+            name: getattr(found.robot, name) for name in learnable_sizes(found.robot)
+        }, calibration.learned_size_columns(found)
 
-    return jax.jit(jax.vmap(learned, in_axes=(*devices.batch_axes(cases), 0)))
+    return jax.jit(jax.vmap(learned, in_axes=(*devices.vmap_in_axes(cases), 0)))
 
 
 def _average_poses(samples: np.ndarray, interval: float, threshold: float) -> PoseMeasurements:

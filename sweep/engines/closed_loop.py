@@ -18,21 +18,21 @@ from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import TrackerState
 from sweep.core.constants import FOOT_LOAD_THRESHOLD_N
 from sweep.core.rotations import conjugate, multiply, rotate, rotation_about_vertical
-from sweep.estimation.belief_update import LearnedState, initial_obstacle, update_from_touch, updated_belief
+from sweep.estimation.belief_update import LearnedState, initial_obstacle, update_belief_from_touch, updated_belief
 from sweep.metrics import accumulator
 from sweep.metrics.accumulator import RunningMetrics
 from sweep.metrics.outcome import OutcomeThresholds
-from sweep.metrics.tick import MAX_DURATION_FACTOR, REST_DURATION_S, MetricTick, RolloutStart, TickReport
+from sweep.metrics.tick import MAX_DURATION_FACTOR, REST_DURATION_S, EngineTickReport, MetricContext, RolloutStart
 from sweep.models.case import Case
 from sweep.models.disturbance import ExecutionFaults
 from sweep.models.drive import ServoCommand, position_command
 from sweep.models.legs import JOINT_Q, JOINT_V, N_JOINTS, N_LEGS
 from sweep.models.noise import Noise
 from sweep.models.obstacles import surface
-from sweep.models.obstacles.charts import stack_point
+from sweep.models.obstacles.charts import stack_components
 from sweep.models.obstacles.surface import (
     BodyPoses,
-    FreeState,
+    FreeBodyState,
     Obstacle,
     Surface,
     body_poses,
@@ -74,7 +74,7 @@ SensingMode = Literal["exact", "late", "noisy"]
 ZERO_DELAYS = {"delay": 0.0, "load_delay": 0.0, "body_delay": 0.0}
 
 
-def classify_sensing(noise: Noise) -> SensingMode:
+def required_sensing_mode(noise: Noise) -> SensingMode:
     """Classify which sensor errors have to be simulated: none, only a delay, or random errors.
 
     Random numbers take a third of the compile time of a walk, so they are left out where all errors are zero. Fields of
@@ -89,7 +89,7 @@ def classify_sensing(noise: Noise) -> SensingMode:
     return "late" if is_zero(dataclasses.replace(noise, **ZERO_DELAYS)) else "noisy"
 
 
-def count_ticks(plans: Plan, period: float) -> int:
+def max_tick_count(plans: Plan, period: float) -> int:
     """Return the number of control ticks that the longest rollout of a batch may take.
 
     Args:
@@ -101,7 +101,7 @@ def count_ticks(plans: Plan, period: float) -> int:
     return int(np.ceil((min(MAX_DURATION_FACTOR * longest, MAX_DURATION_S) + REST_DURATION_S) / period))
 
 
-def start_state(world: Case, belief: Case, plan: Plan, free: FreeState | None = None) -> InitialState:
+def start_state(world: Case, belief: Case, plan: Plan, free: FreeBodyState | None = None) -> InitialState:
     """Return MuJoCo's state of robot and free bodies at the start of the manoeuvre.
 
     The robot stands with the joint angles that it believes to be right, displaced by the placement error of
@@ -157,13 +157,13 @@ def _beneath(obstacle: Obstacle, feet: Float[Array, "6 3"], up: Float[Array, " 3
 
 def apply_placement_error(execution: ExecutionFaults, start: Stance) -> Stance:
     """Displace the start pose by the scenario's placement error (m, and rad about the vertical)."""
-    position = start.position + stack_point(execution.start_x, execution.start_y, 0.0)
+    position = start.position + stack_components(execution.start_x, execution.start_y, 0.0)
     turn = rotation_about_vertical(jnp.asarray(execution.start_yaw, float))
     feet = position + rotate(turn[None], start.feet - start.position)
     return Stance(feet, position, multiply(turn, start.quat))
 
 
-def free_body_state(qpos: Array, qvel: Array, count: int) -> FreeState:
+def free_body_state(qpos: Array, qvel: Array, count: int) -> FreeBodyState:
     """Extract the states of the obstacle's free bodies from MuJoCo's `qpos` and `qvel`.
 
     Args:
@@ -176,7 +176,7 @@ def free_body_state(qpos: Array, qvel: Array, count: int) -> FreeState:
     """
     pose = qpos[qpos.shape[0] - 7 * count :].reshape(count, 7)
     motion = qvel[qvel.shape[0] - 6 * count :].reshape(count, 6)
-    return FreeState(pose[:, :3], pose[:, 3:], motion[:, :3], rotate(pose[:, 3:], motion[:, 3:]))
+    return FreeBodyState(pose[:, :3], pose[:, 3:], motion[:, :3], rotate(pose[:, 3:], motion[:, 3:]))
 
 
 def exact_observation(qpos: Array, qvel: Array, count: int, load: Float[Array, " 6"]) -> Observation:
@@ -221,7 +221,7 @@ def init_loop(
         energy: mechanical energy at the start (J).
         key: random key of the rollout's noise.
         learned: estimates made before the start.
-        sensing: which sensor errors are simulated, see `classify_sensing`.
+        sensing: which sensor errors are simulated, see `required_sensing_mode`.
     """
     obs = exact_observation(start.qpos, start.qvel, len(world.obstacle.free_bodies), jnp.full(N_LEGS, jnp.inf))
     bias_key, key = jax.random.split(key)
@@ -268,7 +268,7 @@ def run_controller(
     obs = obs._replace(maybe_loaded=obs.load > threshold, loaded=obs.load > threshold + doubt)
     plan, foothold_offset = learned.plan or first_plan, None
     if learned.touch is not None:
-        state, plan, foothold_offset, learned = update_from_touch(
+        state, plan, foothold_offset, learned = update_belief_from_touch(
             world, belief, first_plan, state, learned, obs, period
         )
     if learned.touch is not None or learned.calibration is not None:
@@ -289,7 +289,7 @@ def update_metrics(
     limits: OutcomeThresholds,
     loop: ClosedLoop,
     command: Command,
-    tick: TickReport,
+    tick: EngineTickReport,
     number: Array,
     period: float,
 ) -> tuple[ClosedLoop, Float[Array, " w"]]:
@@ -314,7 +314,7 @@ def update_metrics(
     """
     plan = loop.learned.plan or plan
     state, time = loop.tracker, loop.running.time + period
-    now = MetricTick(
+    now = MetricContext(
         world,
         plan,
         state.stage,

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sweep.contract.engine import Trace
-from sweep.controllers.layers import ForceFeedforward, interpolate_moments
+from sweep.controllers.layers import ForceFeedforward, interpolate_stage_values
 from sweep.core.constants import FOOT_LOAD_THRESHOLD_N, GRAVITY
 from sweep.engines.closed_loop import free_body_state
 from sweep.models.obstacles.surface import Obstacle, Surface, body_poses, surface_at
@@ -28,13 +28,13 @@ class ContactForces(NamedTuple):
 class SurfaceContacts:
     """Contacts of the feet with the obstacle over a recorded rollout: friction use, and depth of points inside."""
 
-    def friction_share(self, trace: Trace) -> np.ndarray:
+    def friction_utilization(self, trace: Trace) -> np.ndarray:
         """Return the share of its friction limit that each foot uses, (F, 6): 1 where it slips, NaN without load."""
         return measured_contact_forces(trace).elastic_share
 
-    def depth(self, trace: Trace, points: np.ndarray, frames: np.ndarray) -> np.ndarray:
+    def penetration_depth(self, trace: Trace, points: np.ndarray, frames: np.ndarray) -> np.ndarray:
         """Return how deep points (K, n, 3) lie inside the obstacle, (K, n), m, at frames (K,) of the trace."""
-        return np.asarray(surfaces_under(trace, points, frames).depth)
+        return np.asarray(nearest_surfaces(trace, points, frames).depth)
 
 
 def measured_contact_forces(trace: Trace) -> ContactForces:
@@ -51,7 +51,7 @@ def planned_contact_forces(trace: Trace) -> ContactForces | None:
     first = np.maximum.accumulate(np.where(np.diff(trace.stage, prepend=-1) != 0, number, 0))
     tick = trace.time[1] - trace.time[0]
     phase = np.clip((trace.time - trace.time[first] + tick) / np.asarray(plan.duration)[trace.stage], 0, 1)
-    force = jax.vmap(partial(interpolate_moments, force))(jnp.asarray(trace.stage), jnp.asarray(phase, float))
+    force = jax.vmap(partial(interpolate_stage_values, force))(jnp.asarray(trace.stage), jnp.asarray(phase, float))
     return _contact_forces(trace, np.asarray(force))
 
 
@@ -60,7 +60,7 @@ def _plan(belief):
     return plan, None if plan.find_layer(ForceFeedforward) is None else belief.manoeuvre.force_plan(belief, plan).force
 
 
-def surfaces_under(trace: Trace, points: np.ndarray, frames: slice | np.ndarray = slice(None)) -> Surface:
+def nearest_surfaces(trace: Trace, points: np.ndarray, frames: slice | np.ndarray = slice(None)) -> Surface:
     """Return the obstacle's surface nearest to each of some points, with free bodies at their simulated poses.
 
     Args:
@@ -88,7 +88,7 @@ def _surfaces(obstacle: Obstacle, points: jax.Array, qpos: jax.Array, qvel: jax.
 
 def _contact_forces(trace: Trace, force: np.ndarray) -> ContactForces:
     """Resolve `force` (F, 6, 3), N, along the normal of the surface nearest to each foot."""
-    surface = surfaces_under(trace, trace.foot_position)
+    surface = nearest_surfaces(trace, trace.foot_position)
     normals = np.asarray(surface.normal, float)
     normal = np.sum(force * normals, axis=-1)
     tangential = np.linalg.norm(force - normal[..., None] * normals, axis=-1)

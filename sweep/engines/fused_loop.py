@@ -22,19 +22,19 @@ from sweep.estimation.belief_update import LearnedState
 from sweep.fused import eager
 from sweep.fused.arrays import UnsupportedPrimitive
 from sweep.fused.eager import NumpyProgram
-from sweep.fused.kernel import Kernel, Tiles
+from sweep.fused.kernel import Kernel, KernelBatch
 from sweep.models.case import Case
 
 
 class FusedBatch(NamedTuple):
     """A batch of rollouts in the memory of a fused CPU kernel: controller, physics and metrics in one program."""
 
-    tiles: Tiles
+    tiles: KernelBatch
 
     @property
     def is_over(self) -> np.ndarray:
         """Return which rollouts have ended (width,)."""
-        return self.tiles.read(lambda carried: carried.loop.running.is_over)
+        return self.tiles.read_state_values(lambda carried: carried.loop.running.is_over)
 
 
 class FusedPrograms(NamedTuple):
@@ -48,7 +48,7 @@ class FusedPrograms(NamedTuple):
     width: int
     watch: TimeSeriesRequest | None
 
-    def start(self, world: Case, belief: Case, keys: Array) -> tuple[Plan, FusedBatch]:
+    def make_initial_batch(self, world: Case, belief: Case, keys: Array) -> tuple[Plan, FusedBatch]:
         """Plan the rollouts of a batch and write them to the kernel's memory, before the first tick."""
         plans, carry = self.planning(world, belief, keys)
         return plans, FusedBatch(self.kernel.load_batch((world, belief, plans), carry, self.width))
@@ -70,16 +70,16 @@ class FusedPrograms(NamedTuple):
             The batch, and records of the rollouts in `slots`: all quantities, or the requested columns.
         """
         if self.replan is not None:
-            known = carry.tiles.read(lambda carried: (carried.loop.tracker.stage, carried.loop.learned))
-            carry.tiles.replace(lambda carried: carried.loop.learned, self.replan(belief, plans, *known))
-        record = carry.tiles.advance(tick, self.ticks, slots)
+            known = carry.tiles.read_state_values(lambda carried: (carried.loop.tracker.stage, carried.loop.learned))
+            carry.tiles.replace_state_values(lambda carried: carried.loop.learned, self.replan(belief, plans, *known))
+        record = carry.tiles.advance_ticks(tick, self.ticks, slots)
         if record is None or self.watch is None:
             return carry, record
         return carry, select_columns(world, record, self.watch.columns)
 
-    def finish(self, world: Case, plans: Plan, carry: FusedBatch) -> dict[str, Array]:
+    def compute_batch_metrics(self, world: Case, plans: Plan, carry: FusedBatch) -> dict[str, Array]:
         """Compute the metrics of a batch after its last chunk of ticks."""
-        return self.metrics(world, plans, carry.tiles.read_all())
+        return self.metrics(world, plans, carry.tiles.read_full_state())
 
 
 def single_rollout_shapes(arrays: tuple[Case, Case, Array], batch: Any) -> tuple[tuple[Case, Case, Plan], Any]:
@@ -101,7 +101,7 @@ def single_rollout_shapes(arrays: tuple[Case, Case, Array], batch: Any) -> tuple
     return (world, belief, plan), carry
 
 
-def trace_or_compile(
+def trace_or_compile_program(
     by_xla: Callable[[], Compiled], function: Callable[..., Any], *shapes: Any
 ) -> NumpyProgram | Compiled:
     """Make a program that runs a few times per batch: run by NumPy where it has all operations, else compiled by XLA.
@@ -112,17 +112,17 @@ def trace_or_compile(
         shapes: shapes of its arguments for one rollout.
     """
     try:
-        return eager.trace(function, *shapes)
+        return eager.trace_numpy_program(function, *shapes)
     except UnsupportedPrimitive:
         return by_xla()
 
 
-def bind_batch_width(program: NumpyProgram | Compiled, width: int) -> Callable[..., Any]:
+def make_batch_function(program: NumpyProgram | Compiled, width: int) -> Callable[..., Any]:
     """Turn a program (`NumpyProgram` or `Compiled`) into a function over batches of `width` rollouts."""
     return functools.partial(*(program, width) if isinstance(program, NumpyProgram) else (devices.run_program, program))
 
 
-def catch_missing_rule(compile_programs: Callable[..., tuple]) -> Callable[..., tuple]:
+def catch_unsupported_primitive(compile_programs: Callable[..., tuple]) -> Callable[..., tuple]:
     """Wrap a function that compiles programs: for an unsupported operation it returns the name instead of raising.
 
     So the cache can store that the programs cannot be fused.
@@ -138,7 +138,7 @@ def catch_missing_rule(compile_programs: Callable[..., tuple]) -> Callable[..., 
     return with_missing_rule
 
 
-def report_fallback(settings: EngineSettings, missing: str) -> None:
+def report_xla_fallback(settings: EngineSettings, missing: str) -> None:
     """Print to standard error that XLA compiles the closed loop because the fused compiler has no rule for `missing`.
 
     Raises:

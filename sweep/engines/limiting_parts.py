@@ -14,7 +14,7 @@ from sweep.models.case import Case
 from sweep.models.geometry import gap_between_legs, leg_base_gap, link_capsules, thigh_shin_gap
 from sweep.models.legs import JOINT_Q, LEG_NAMES, LEGS, N_LEGS
 from sweep.models.obstacles.surface import BodyPoses
-from sweep.models.posture import leg_points
+from sweep.models.posture import leg_joint_positions
 from sweep.models.robot import base_half_size
 from sweep.models.solids import distance_to_box
 
@@ -55,14 +55,14 @@ def describe_limiting_part(trace: Trace, cause: str, stage: str) -> str:
         return ""
     names, gaps = GAPS[cause]
     qpos = trace.qpos[frames]
-    found = eager.trace(lambda x: gaps(_pose(trace.world, x)), qpos[0])(len(frames), qpos)
+    found = eager.trace_numpy_program(lambda x: gaps(_pose(trace.world, x)), qpos[0])(len(frames), qpos)
     return names[int(found.min(axis=0).argmin())]
 
 
 def _pose(world: Case, qpos: Float[Array, " n"]) -> Pose:
     count = (len(qpos) - JOINT_Q.stop) // POSE_SIZE
     free = qpos[len(qpos) - POSE_SIZE * count :].reshape(count, POSE_SIZE)
-    legs = qpos[:3] + rotate(qpos[3:7], leg_points(world.robot, qpos[JOINT_Q].reshape(N_LEGS, 3)))
+    legs = qpos[:3] + rotate(qpos[3:7], leg_joint_positions(world.robot, qpos[JOINT_Q].reshape(N_LEGS, 3)))
     return Pose(world, (qpos[:3], matrix(qpos[3:7])), legs, BodyPoses(free[:, :3], matrix(free[:, 3:])))
 
 

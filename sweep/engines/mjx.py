@@ -19,9 +19,9 @@ from sweep.contract.engine import Metrics, TimeSeriesRequest
 from sweep.contract.engine_settings import EngineSettings
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
-from sweep.core.progress import time_step_part
+from sweep.core.progress import measure_part_duration
 from sweep.dynamics import interface as dynamics
-from sweep.dynamics.free_bodies import start_at_rest
+from sweep.dynamics.free_bodies import resting_start_state
 from sweep.dynamics.step import PhysicsState, state_at_rest
 from sweep.engines import batching, fused_loop, physics, planning
 from sweep.engines.batch_last import batch_last_vmap
@@ -30,10 +30,10 @@ from sweep.engines.closed_loop import (
     CHUNK_DURATION_S,
     ClosedLoop,
     SensingMode,
-    classify_sensing,
     compute_metrics,
-    count_ticks,
     init_loop,
+    max_tick_count,
+    required_sensing_mode,
     run_controller,
     start_state,
     update_metrics,
@@ -42,7 +42,7 @@ from sweep.engines.fused_loop import FusedPrograms, single_rollout_shapes
 from sweep.engines.planning import CompiledPlanning
 from sweep.engines.pre_rollout import prepare_belief
 from sweep.engines.states import available_columns, select_columns
-from sweep.estimation.belief_update import replan_rest
+from sweep.estimation.belief_update import replan_remaining_stages
 from sweep.fused import driver, kernel, launch
 from sweep.fused.eager import NumpyProgram
 from sweep.fused.kernel import Kernel, KernelCode
@@ -65,9 +65,9 @@ class RolloutCarry(NamedTuple):
 class XlaPrograms(NamedTuple):
     """Compiled programs of a batch: planning, a chunk of control ticks, and the metrics at the end."""
 
-    start: Callable[[Case, Case, Array], tuple[Plan, Any]]
+    make_initial_batch: Callable[[Case, Case, Array], tuple[Plan, Any]]
     simulate_chunk: Callable[[Case, Case, Plan, Any, int, Any], tuple[Any, Any]]
-    finish: Callable[[Case, Plan, Any], dict[str, Array]]
+    compute_batch_metrics: Callable[[Case, Plan, Any], dict[str, Array]]
 
 
 class MjxEngine(BatchEngine):
@@ -81,13 +81,13 @@ class MjxEngine(BatchEngine):
         self.devices = jax.device_count()
         self.fused = _uses_fused_compiler(settings)
         with devices.precision_context(settings):
-            self.topology = dynamics.topology(world)
+            self.topology = dynamics.build_model_topology(world)
             self.physics = physics.make_tick_physics(settings, self.topology)
 
     def rollout_bytes(self) -> int:
         """Return the memory (bytes) of one rollout's plan, state and metrics, without compiling anything."""
         with devices.precision_context(self.settings):
-            start = partial(self._start, classify_sensing(self._nominal[0].noise))
+            start = partial(self._start, required_sensing_mode(self._nominal[0].noise))
             held = jax.eval_shape(start, *devices.to_jax_arrays(self._nominal), jax.random.key(0))
         return sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(held))
 
@@ -117,9 +117,9 @@ class MjxEngine(BatchEngine):
         )  # number of recorded rollouts to make room for
         with devices.precision_context(self.settings):
             (world, belief, keys), programs, kept, places = self._prepare(world, belief, streams, slots, most, watch)
-            plans, carry = programs.start(world, belief, keys)
+            plans, carry = programs.make_initial_batch(world, belief, keys)
             records = []
-            for tick in range(0, count_ticks(plans, self.settings.control_period), self._chunk_ticks):
+            for tick in range(0, max_tick_count(plans, self.settings.control_period), self._chunk_ticks):
                 carry, record = programs.simulate_chunk(world, belief, plans, carry, tick, kept)
                 first = (every - 1 - tick) % every
                 records.append(jax.tree.map(lambda x, first=first: np.asarray(x)[first::every][:, places], record))
@@ -127,7 +127,7 @@ class MjxEngine(BatchEngine):
                 over = np.asarray(carry.is_over)
                 if np.all(over if slots is None or watch else over[slots]):
                     break
-            figures = programs.finish(world, plans, carry).items()
+            figures = programs.compute_batch_metrics(world, plans, carry).items()
             return {name: np.asarray(values) for name, values in figures}, records
 
     @property
@@ -169,9 +169,9 @@ class MjxEngine(BatchEngine):
         watch: TimeSeriesRequest | None,
     ) -> tuple[tuple[Case, Case, Array], XlaPrograms | FusedPrograms, Any, np.ndarray | None]:
         """Arguments as arrays, programs for their batch axes, rollouts to record, and their places in the record."""
-        batching.check_width(streams, self.width)
+        batching.check_batch_width(streams, self.width)
         kept, places = self._recording_slots(slots, min(self._rollouts_per_device, most))
-        sensing = classify_sensing(world.noise)
+        sensing = required_sensing_mode(world.noise)
         recorded = None if kept is None or self._runs_outside_xla else (kept.shape, watch and watch.columns)
         form = devices.program_signature((world, belief)), sensing, recorded
         arrays = devices.shard_leaves(
@@ -182,7 +182,7 @@ class MjxEngine(BatchEngine):
             key_parts, on = (form, *self._cache_key), list(self._mesh.devices.flat)
             parts = program_cache.load_or_compile(key_parts, on, compiled)
             if isinstance(parts[0], str):
-                fused_loop.report_fallback(self.settings, parts[0])
+                fused_loop.report_xla_fallback(self.settings, parts[0])
                 self.fused = False
                 return self._prepare(world, belief, streams, slots, most, watch)
             self._programs[form] = self._bind_programs(*parts)
@@ -199,15 +199,15 @@ class MjxEngine(BatchEngine):
         again: NumpyProgram | Compiled | None = None,
         machine: driver.GpuKernel | None = None,
     ) -> XlaPrograms | FusedPrograms:
-        begin, end = CompiledPlanning.from_programs(start, searches), fused_loop.bind_batch_width(finish, self.width)
+        begin, end = CompiledPlanning.from_programs(start, searches), fused_loop.make_batch_function(finish, self.width)
         if not isinstance(chunk, KernelCode):
             if machine:
-                driver.add_kernel(machine)
+                driver.register_kernel(machine)
             compiled = isinstance(start, Compiled)
             return XlaPrograms(
                 begin if compiled else lambda *args: devices.put_on_devices(begin(*args), self._mesh), chunk, end
             )
-        new = again and fused_loop.bind_batch_width(again, self.width)
+        new = again and fused_loop.make_batch_function(again, self.width)
         return FusedPrograms(begin, Kernel(chunk), end, new, self._chunk_ticks, self.width, None)
 
     @property
@@ -226,7 +226,7 @@ class MjxEngine(BatchEngine):
             model,
         )
 
-    @fused_loop.catch_missing_rule
+    @fused_loop.catch_unsupported_primitive
     def _compile(
         self,
         arrays: tuple[Case, Case, Array],
@@ -239,7 +239,7 @@ class MjxEngine(BatchEngine):
         They compile in parallel: the compiler needs no Python, which traces the next program meanwhile.
         """
         world, belief, _ = arrays
-        axes, specs = devices.batch_axes((world, belief)), devices.partition_specs((world, belief))
+        axes, specs = devices.vmap_in_axes((world, belief)), devices.partition_specs((world, belief))
         split, whole = PartitionSpec(devices.BATCH_MESH_AXIS), PartitionSpec()
         on_devices = partial(jax.shard_map, mesh=self._mesh, check_vma=False)
         control = self._nominal[0].control
@@ -261,8 +261,8 @@ class MjxEngine(BatchEngine):
             )
             plans, carry = devices.sharded_shapes(batch, self._mesh)
             if self._runs_outside_xla:
-                with time_step_part("closed loop"):
-                    lanes = kernel.choose_lanes(self.width, devices.count_cores())
+                with measure_part_duration("closed loop"):
+                    lanes = kernel.choose_lane_count(self.width, devices.count_cores())
                     chunk_future = pool.submit(
                         kernel.start_compilation(self._tick, *single_rollout_shapes(arrays, batch), lanes=lanes)
                     )
@@ -274,7 +274,7 @@ class MjxEngine(BatchEngine):
             chunk = on_devices(chunk, in_specs=(*specs, split, split, whole, split), out_specs=recorded)
             options = launch.XLA_OPTIONS if self.fused else None
             chunk_program = jax.jit(chunk, donate_argnums=3, compiler_options=options)
-            with time_step_part("closed loop"):
+            with measure_part_duration("closed loop"):
                 chunk_future = pool.submit(chunk_program.lower(world, belief, plans, carry, 0, slots).compile)
                 finish_program = self._compile_finish(arrays, batch, on_devices)
                 return (
@@ -296,15 +296,15 @@ class MjxEngine(BatchEngine):
 
         def by_xla() -> Compiled:
             split = PartitionSpec(devices.BATCH_MESH_AXIS)
-            again = jax.vmap(replan_rest, in_axes=(devices.batch_axes(arrays[1]), 0, 0, 0))
+            again = jax.vmap(replan_remaining_stages, in_axes=(devices.vmap_in_axes(arrays[1]), 0, 0, 0))
             again = on_devices(
                 again, in_specs=(devices.partition_specs(arrays[1]), split, split, split), out_specs=split
             )
             return jax.jit(again).lower(arrays[1], plans, carries.loop.tracker.stage, carries.loop.learned).compile()
 
-        with time_step_part("new plan"):
-            return fused_loop.trace_or_compile(
-                by_xla, replan_rest, belief, plan, carry.loop.tracker.stage, carry.loop.learned
+        with measure_part_duration("new plan"):
+            return fused_loop.trace_or_compile_program(
+                by_xla, replan_remaining_stages, belief, plan, carry.loop.tracker.stage, carry.loop.learned
             )
 
     def _compile_finish(
@@ -314,15 +314,15 @@ class MjxEngine(BatchEngine):
         split = PartitionSpec(devices.BATCH_MESH_AXIS)
 
         def by_xla() -> Compiled:
-            finish = jax.vmap(self._finish, in_axes=(devices.batch_axes(arrays[0]), 0, 0))
+            finish = jax.vmap(self._finish, in_axes=(devices.vmap_in_axes(arrays[0]), 0, 0))
             finish = on_devices(finish, in_specs=(devices.partition_specs(arrays[0]), split, split), out_specs=split)
             return jax.jit(finish).lower(arrays[0], *devices.sharded_shapes(batch, self._mesh)).compile()
 
-        with time_step_part("figures"):
+        with measure_part_duration("figures"):
             if not self._uses_numpy:
                 return by_xla()
             (world, _, plan), carry = single_rollout_shapes(arrays, batch)
-            return fused_loop.trace_or_compile(by_xla, self._finish, world, plan, carry)
+            return fused_loop.trace_or_compile_program(by_xla, self._finish, world, plan, carry)
 
     def _fused_chunk(
         self, arrays: tuple[Case, Case, Array], batch: Any, slots: Array | None, watch: TimeSeriesRequest | None
@@ -338,19 +338,19 @@ class MjxEngine(BatchEngine):
             world: Case, belief: Case, plans: Plan, carry: RolloutCarry, first: Array, slots: Array | None
         ) -> Any:
             if self._replans:
-                carry = _replan_batch(devices.batch_axes(arrays[1]))(belief, plans, carry)
+                carry = _replan_batch(devices.vmap_in_axes(arrays[1]))(belief, plans, carry)
             carry, record = launch.run_kernel(code, (world, belief, plans), carry, first, slots)
             if watch is None or record is None:
                 return carry, record
             return carry, select_columns(self._nominal[0], record, watch.columns)
 
-        return chunk, driver.kernel_key(code.text)
+        return chunk, driver.kernel_cache_key(code.text)
 
     def _xla_chunk(
         self, arrays: tuple[Case, Case, Array], batch: Any, slots: Array | None, watch: TimeSeriesRequest | None
     ) -> tuple[Callable, None]:
         """Chunk of control ticks of a device's rollouts; those in `slots` are recorded: all quantities, or columns."""
-        axes, columns = devices.batch_axes(arrays[:2]), available_columns(self._nominal[0])
+        axes, columns = devices.vmap_in_axes(arrays[:2]), available_columns(self._nominal[0])
         last = jax.tree.map(lambda _: -1, (*axes, batch[0]))  # batch axes after `_batch_last`
         tick = batch_last_vmap(self._tick, (last, -1, None), devices.recomputation_cost_threshold())
 
@@ -376,11 +376,11 @@ class MjxEngine(BatchEngine):
 
     def rollout_outputs(self, world: Case, belief: Case, key: Array) -> dict[str, Array]:
         """Compute the metrics of one rollout; JAX only traces this function for analysis."""
-        plan, carry = self._start(classify_sensing(world.noise), world, belief, key)
+        plan, carry = self._start(required_sensing_mode(world.noise), world, belief, key)
 
         def tick(carry: RolloutCarry, number: Array) -> tuple[RolloutCarry, None]:
             if self._replans:
-                learned = replan_rest(belief, plan, carry.loop.tracker.stage, carry.loop.learned)
+                learned = replan_remaining_stages(belief, plan, carry.loop.tracker.stage, carry.loop.learned)
                 carry = carry._replace(loop=carry.loop._replace(learned=learned))
             return self._tick((world, belief, plan), carry, number)[0], None
 
@@ -389,7 +389,7 @@ class MjxEngine(BatchEngine):
 
     def _start(self, sensing: SensingMode, world: Case, belief: Case, key: Array) -> tuple[Plan, RolloutCarry]:
         known, plan, learned = prepare_belief(world, belief, key)
-        start = start_state(world, known, plan, start_at_rest(world))
+        start = start_state(world, known, plan, resting_start_state(world))
         state = state_at_rest(self.topology, start.qpos)._replace(v=start.qvel)
         energy = self.physics.energy(world, state)
         return plan, RolloutCarry(state, init_loop(world, known, plan, start, energy, key, learned, sensing))
@@ -422,7 +422,9 @@ def _replan_batch(axes: Case) -> Callable[[Case, Plan, RolloutCarry], RolloutCar
 
     def one(belief: Case, plan: Plan, carry: RolloutCarry) -> RolloutCarry:
         loop = carry.loop
-        return carry._replace(loop=loop._replace(learned=replan_rest(belief, plan, loop.tracker.stage, loop.learned)))
+        return carry._replace(
+            loop=loop._replace(learned=replan_remaining_stages(belief, plan, loop.tracker.stage, loop.learned))
+        )
 
     return jax.vmap(one, in_axes=(axes, 0, 0))
 

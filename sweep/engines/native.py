@@ -20,11 +20,11 @@ from sweep.backends import devices, program_cache
 from sweep.backends.binary import model_bytes
 from sweep.contract.engine import Metrics, SideMaker, TimeSeriesRequest
 from sweep.contract.engine_settings import EngineSettings
-from sweep.controllers.flywheel import Flywheel
+from sweep.controllers.flywheel import MiddleLegFlywheel
 from sweep.controllers.layers import Command
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
-from sweep.core.progress import time_step_part
+from sweep.core.progress import measure_part_duration
 from sweep.core.rotations import exponential, multiply
 from sweep.engines import batching, fused_loop, planning
 from sweep.engines.batching import BatchEngine
@@ -33,12 +33,12 @@ from sweep.engines.closed_loop import (
     ClosedLoop,
     InitialState,
     SensingMode,
-    classify_sensing,
     compute_metrics,
-    count_ticks,
     exact_observation,
     free_body_state,
     init_loop,
+    max_tick_count,
+    required_sensing_mode,
     run_controller,
     start_state,
     update_metrics,
@@ -47,18 +47,18 @@ from sweep.engines.physics import push_force
 from sweep.engines.planning import CompiledPlanning
 from sweep.engines.pre_rollout import prepare_belief
 from sweep.engines.states import select_columns
-from sweep.estimation.belief_update import LearnedState, replan_rest
+from sweep.estimation.belief_update import LearnedState, replan_remaining_stages
 from sweep.fused import kernel
 from sweep.fused.eager import NumpyProgram
-from sweep.fused.kernel import Kernel, KernelCode, Tiles
+from sweep.fused.kernel import Kernel, KernelBatch, KernelCode
 from sweep.metrics import accumulator
 from sweep.metrics.outcome import OutcomeThresholds
-from sweep.metrics.tick import TickReport
+from sweep.metrics.tick import EngineTickReport
 from sweep.models import scene
 from sweep.models.case import Case
 from sweep.models.drive import ServoCommand, interpolate_target
 from sweep.models.legs import JOINT_V, N_JOINTS, N_LEGS
-from sweep.models.obstacles.surface import FreeState, body_poses, surface_at
+from sweep.models.obstacles.surface import FreeBodyState, body_poses, surface_at
 from sweep.models.robot import link_names
 
 CONTROL_STATE = mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
@@ -103,9 +103,9 @@ class NativePrograms(NamedTuple):
     start: Callable[[Case, Case, Array], tuple[Plan, tuple[LoopState, InitialState]]]
     tick: Kernel | Callable[[Any, LoopState, int], LoopState]
     finish: Callable[[Case, Plan, ClosedLoop], dict[str, Array]]
-    replan: Callable[..., LearnedState] | None  # see `replan_rest`
+    replan: Callable[..., LearnedState] | None  # see `replan_remaining_stages`
 
-    def load_batch(self, inputs: Any, carried: LoopState, width: int) -> "Tiles | XlaBatch":
+    def load_batch(self, inputs: Any, carried: LoopState, width: int) -> "KernelBatch | XlaBatch":
         """Prepare a batch for its ticks: write it to the memory of the compiled kernel, or wrap it for a tick of XLA.
 
         Args:
@@ -124,7 +124,7 @@ class XlaBatch:
     def __init__(self, tick: Callable[[LoopState, int], LoopState], carried: LoopState):
         self._tick, self._carried = tick, carried
 
-    def replace(self, select: Callable[[Any], Any], tree: Any) -> None:
+    def replace_state_values(self, select: Callable[[Any], Any], tree: Any) -> None:
         """Replace the values that the function `select` picks from the rollouts' state by those of `tree`."""
         leaves, form = jax.tree.flatten(self._carried)
         places = jax.tree.leaves(select(jax.tree.unflatten(form, range(len(leaves)))))
@@ -132,16 +132,16 @@ class XlaBatch:
             leaves[place] = jnp.asarray(x, leaves[place].dtype)
         self._carried = jax.tree.unflatten(form, leaves)
 
-    def advance(self, first: int, ticks: int) -> None:
+    def advance_ticks(self, first: int, ticks: int) -> None:
         """Advance the batch by `ticks` control ticks, the first of which has the number `first`."""
         for k in range(first, first + ticks):
             self._carried = self._tick(self._carried, k)
 
-    def read_all(self) -> LoopState:
+    def read_full_state(self) -> LoopState:
         """Return the state that all rollouts carry from tick to tick."""
         return self._carried
 
-    def read(self, select: Callable[[Any], Any]) -> Any:
+    def read_state_values(self, select: Callable[[Any], Any]) -> Any:
         """Return the values that the function `select` picks from the rollouts' state, as NumPy arrays."""
         return jax.tree.map(np.asarray, select(self._carried))
 
@@ -172,10 +172,10 @@ class NativeEngine(BatchEngine):
     def _simulate(
         self, world: Case, belief: Case, streams: np.ndarray, slots: np.ndarray | None = None, every: int = 1
     ) -> tuple[Metrics, list[Any]]:
-        batching.check_width(streams, self.width)
+        batching.check_batch_width(streams, self.width)
         with devices.precision_context(self.settings):
             models, unbuilt = self._models(world)
-            sensing = classify_sensing(world.noise)
+            sensing = required_sensing_mode(world.noise)
             (world, belief), keys = devices.to_jax_arrays((world, belief)), devices.noise_keys(streams)
             programs = self._prepare((world, belief, keys), sensing)
             batch = Batch(models[0], self.width, devices.count_cores())
@@ -188,36 +188,41 @@ class NativeEngine(BatchEngine):
             running_batch = programs.load_batch((world, belief, plans), between, self.width)
             controls = np.zeros((self.width, self.substeps, N_JOINTS + 6 * models[0].nbody))
             steps, records = None, []
-            for k in range(count_ticks(plans, self.settings.control_period)):
+            for k in range(max_tick_count(plans, self.settings.control_period)):
                 if programs.replan and k % round(CHUNK_DURATION_S / self.settings.control_period) == 0:
-                    known = running_batch.read(lambda state: (state.loop.tracker.stage, state.loop.learned))
-                    running_batch.replace(lambda state: state.loop.learned, programs.replan(belief, plans, *known))
-                if plans.find_layer(Flywheel) is not None:
-                    gains = _update_gains(
-                        batch, models, gains, _gains(running_batch.read(lambda state: state.loop.servo))
+                    known = running_batch.read_state_values(
+                        lambda state: (state.loop.tracker.stage, state.loop.learned)
                     )
-                controls = _write_controls(controls, *running_batch.read(lambda state: state.inputs))
+                    running_batch.replace_state_values(
+                        lambda state: state.loop.learned, programs.replan(belief, plans, *known)
+                    )
+                if plans.find_layer(MiddleLegFlywheel) is not None:
+                    gains = _update_gains(
+                        batch, models, gains, _gains(running_batch.read_state_values(lambda state: state.loop.servo))
+                    )
+                controls = _write_controls(controls, *running_batch.read_state_values(lambda state: state.inputs))
                 steps = batch.rollout(self.substeps, controls, CONTROL_STATE, RECORDED_FIELDS, out=steps)
                 if k == 0:  # MuJoCo's derived fields are those before the step, here of the start
                     energy = steps["energy"][:, 0].sum(axis=-1)
-                    running_batch.replace(
-                        lambda state: state.loop, _with_energy(self._nominal[0], running_batch.read_all().loop, energy)
+                    running_batch.replace_state_values(
+                        lambda state: state.loop,
+                        _with_energy(self._nominal[0], running_batch.read_full_state().loop, energy),
                     )
                 due = slots if (k + 1) % every == 0 else None
                 if due is not None:
                     records.append(_tick_record(world, running_batch, steps, due))
                 broken = unbuilt | np.any(batch.warning[:, :, 0] > 0, axis=1)
-                running_batch.replace(lambda state: state.steps, self._step_record(steps, broken))
-                running_batch.advance(k + 1, 1)
+                running_batch.replace_state_values(lambda state: state.steps, self._step_record(steps, broken))
+                running_batch.advance_ticks(k + 1, 1)
                 if due is not None:
-                    records[-1]["judged"] = running_batch.read(lambda state: state.tick_summary)[due]
-                if np.all(running_batch.read(lambda state: state.loop.running.is_over)):
+                    records[-1]["judged"] = running_batch.read_state_values(lambda state: state.tick_summary)[due]
+                if np.all(running_batch.read_state_values(lambda state: state.loop.running.is_over)):
                     break
             # all ended before the first sample: one is taken for the shapes of the records
             if slots is not None and steps and not records:
-                judged = running_batch.read(lambda state: state.tick_summary)[slots]
+                judged = running_batch.read_state_values(lambda state: state.tick_summary)[slots]
                 records.append({**_tick_record(world, running_batch, steps, slots), "judged": judged})
-            figures = programs.finish(world, plans, running_batch.read_all().loop)
+            figures = programs.finish(world, plans, running_batch.read_full_state().loop)
             parts = [jax.tree.map(lambda *each: np.stack(each), *records)] if records else []
             return {name: np.asarray(values) for name, values in figures.items()}, parts
 
@@ -231,7 +236,7 @@ class NativeEngine(BatchEngine):
         for i in range(self.width):
             try:
                 with warnings.catch_warnings(action="ignore", category=UserWarning):  # such as a singular inertia
-                    models.append(self._model(batching.select_row(world, i)))
+                    models.append(self._model(batching.rollout_parameters(world, i)))
             except InputError:
                 raise
             except ValueError as error:  # from MuJoCo's compiler
@@ -246,7 +251,7 @@ class NativeEngine(BatchEngine):
         return [model or stand_in for model in models], unbuilt  # pyright: ignore[reportReturnType]
 
     def _model(self, world: Case) -> mujoco.MjModel:
-        return scene.native_model(world, self.settings.native_time_step, self.settings.solid)
+        return scene.compile_native_model(world, self.settings.native_time_step, self.settings.solid)
 
     def _prepare(self, arrays: tuple[Case, Case, Array], sensing: SensingMode) -> NativePrograms:
         """The programs for the batch axes of `arrays`."""
@@ -255,23 +260,23 @@ class NativeEngine(BatchEngine):
             key_parts = "native", form, self.settings, self.limits, self.width, self.fused
             parts = program_cache.load_or_compile(key_parts, jax.devices()[:1], lambda: self._compile(arrays, sensing))
             if isinstance(parts[0], str):
-                fused_loop.report_fallback(self.settings, parts[0])
+                fused_loop.report_xla_fallback(self.settings, parts[0])
                 self.fused = False
                 return self._prepare(arrays, sensing)
             start, searches, tick, *rest = parts
-            finish, again = (one and fused_loop.bind_batch_width(one, self.width) for one in rest)
+            finish, again = (one and fused_loop.make_batch_function(one, self.width) for one in rest)
             tick = Kernel(tick) if isinstance(tick, KernelCode) else tick
             self._programs[form] = NativePrograms(CompiledPlanning.from_programs(start, searches), tick, finish, again)
         return self._programs[form]
 
     def rollout_outputs(self, world: Case, belief: Case, key: Array) -> Any:
         """Compute metrics and C MuJoCo inputs of one rollout for analysis by JAX, with C MuJoCo's results constant."""
-        plan, (between, state) = self._start(classify_sensing(world.noise), world, belief, key)
+        plan, (between, state) = self._start(required_sensing_mode(world.noise), world, belief, key)
         between = between._replace(steps=jax.tree.map(jnp.zeros_like, between.steps))
 
         def tick(state: LoopState, number: Array) -> tuple[LoopState, Any]:
             if self._replans:
-                learned = replan_rest(belief, plan, state.loop.tracker.stage, state.loop.learned)
+                learned = replan_remaining_stages(belief, plan, state.loop.tracker.stage, state.loop.learned)
                 state = state._replace(loop=state.loop._replace(learned=learned))
             after, _ = self._tick((world, belief, plan), state, number)
             return after, (state.inputs, state.loop.servo)
@@ -280,9 +285,9 @@ class NativeEngine(BatchEngine):
         between, inputs = jax.lax.scan(tick, between, numbers)
         return state, inputs, compute_metrics(world, plan, between.loop)
 
-    def find_unread_columns(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
+    def find_inactive_parameters(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
         """Find the parameters that change neither a metric nor the MuJoCo model."""
-        unread = super().find_unread_columns(sides, ends)
+        unread = super().find_inactive_parameters(sides, ends)
         models = {c: [model_bytes(self._model(sides({c: end})[0])) for end in ends[c]] for c in sorted(unread)}
         return {c for c, (low, high) in models.items() if low == high}
 
@@ -303,10 +308,10 @@ class NativeEngine(BatchEngine):
         loop, judged = update_metrics(world, plan, self.limits, state.loop, state.command, summary, k - 1, period)
         return self._run_controller(world, belief, plan, loop, state.steps, judged, k), {}
 
-    @fused_loop.catch_missing_rule
+    @fused_loop.catch_unsupported_primitive
     def _compile(self, arrays: tuple[Case, Case, Array], sensing: SensingMode) -> tuple[Any, ...]:
         world, belief, _ = arrays
-        axes, start = devices.batch_axes((world, belief)), partial(self._start, sensing)
+        axes, start = devices.vmap_in_axes((world, belief)), partial(self._start, sensing)
 
         def many(start: Callable) -> Callable:
             return jax.vmap(start, in_axes=(*axes, 0))
@@ -324,10 +329,10 @@ class NativeEngine(BatchEngine):
                 def by_xla() -> Compiled:
                     return jax.jit(jax.vmap(function, in_axes=axes)).lower(*inputs).compile()
 
-                with time_step_part(name):
-                    return fused_loop.trace_or_compile(by_xla, function, *shapes) if use_numpy else by_xla()
+                with measure_part_duration(name):
+                    return fused_loop.trace_or_compile_program(by_xla, function, *shapes) if use_numpy else by_xla()
 
-            with time_step_part("closed loop"):
+            with measure_part_duration("closed loop"):
                 if self.fused:
                     ticks = pool.submit(kernel.start_compilation(self._tick, shapes, state))
                 else:
@@ -345,7 +350,7 @@ class NativeEngine(BatchEngine):
                     args, replan_shapes = ((x.loop.tracker.stage, x.loop.learned) for x in (between, state))
                     again = make_program(
                         "new plan",
-                        replan_rest,
+                        replan_remaining_stages,
                         (belief, plans, *args),
                         (belief_shape, plan_shape, *replan_shapes),
                         (axes[1], 0, 0, 0),
@@ -393,7 +398,7 @@ class NativeEngine(BatchEngine):
         )
 
     def _external_forces(
-        self, world: Case, tick: Array, free: FreeState
+        self, world: Case, tick: Array, free: FreeBodyState
     ) -> tuple[Float[Array, "n 3"], Float[Array, "n w"]]:
         """The push, and the wrenches on the obstacle's free bodies, for the physics steps of a control tick.
 
@@ -410,7 +415,7 @@ class NativeEngine(BatchEngine):
             loads = load.reshape(loads.shape)
         return push, loads
 
-    def _tick_summary(self, world: Case, steps: StepRecord, number: Array, before: FreeState) -> TickReport:
+    def _tick_summary(self, world: Case, steps: StepRecord, number: Array, before: FreeBodyState) -> EngineTickReport:
         """Summary of a tick for the metrics; `before` is the state of the free bodies before it."""
         h, drive = self.settings.native_time_step, world.drive
         rate = steps.qvel[:, JOINT_V]
@@ -427,7 +432,7 @@ class NativeEngine(BatchEngine):
         last = -jnp.sum(steps.foot_force[-1].reshape(N_LEGS, 3) * normals, axis=-1)
         seen = exact_observation(steps.qpos[-1], steps.qvel[-1], count, last)
         outside = jnp.sum(push * steps.qvel[:, :3]) + jnp.sum(loads * _twists(steps, count))
-        return TickReport(
+        return EngineTickReport(
             torque_peak=jnp.max(jnp.abs(torque), axis=0).reshape(N_LEGS, 3),
             saturated=jnp.mean(effort >= 0.999 * limit, axis=0).reshape(N_LEGS, 3),
             force=force,
@@ -452,7 +457,7 @@ def _write_controls(controls: np.ndarray, torques: np.ndarray, push: np.ndarray,
     return controls
 
 
-def _extrapolate(free: FreeState, time: Array) -> FreeState:
+def _extrapolate(free: FreeBodyState, time: Array) -> FreeBodyState:
     """State of free bodies after `time` (s) at constant velocity."""
     return free._replace(
         position=free.position + time * free.velocity, quat=multiply(exponential(time * free.turn), free.quat)
@@ -485,7 +490,7 @@ def _update_gains(
 def _with_energy(world: Case, loops: ClosedLoop, start: np.ndarray) -> ClosedLoop:
     """Count the energy from its value at the start."""
     energy = jnp.asarray(start, loops.running.time.dtype)
-    return loops._replace(running=accumulator.with_start_energy(world, loops.running, energy))
+    return loops._replace(running=accumulator.set_start_energy(world, loops.running, energy))
 
 
 def _joint_torque[A: (Array, np.ndarray)](effort: A, rate: A, back_emf: Any) -> A:
@@ -494,12 +499,14 @@ def _joint_torque[A: (Array, np.ndarray)](effort: A, rate: A, back_emf: Any) -> 
 
 
 def _tick_record(
-    world: Case, running_batch: Tiles | XlaBatch, steps: dict[str, np.ndarray], slots: np.ndarray
+    world: Case, running_batch: KernelBatch | XlaBatch, steps: dict[str, np.ndarray], slots: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Record of a tick of the rollouts in `slots`, without the values that are compared with thresholds."""
     back_emf = np.broadcast_to(world.drive.back_emf, steps["qpos"].shape[:1])[slots, None, None]
     torque = _joint_torque(steps["actuator_force"][slots], steps["qvel"][slots][..., JOINT_V], back_emf)
-    commands = running_batch.read(lambda state: (state.command.joints, state.command.target, state.loop.tracker.stage))
+    commands = running_batch.read_state_values(
+        lambda state: (state.command.joints, state.command.target, state.loop.tracker.stage)
+    )
     (joints, target, stage), n = jax.tree.map(lambda x: x[slots], commands), len(slots)
     return {
         "qpos": steps["qpos"][slots, -1],

@@ -18,11 +18,18 @@ from sweep.core.vectors import Vector
 from sweep.dynamics import step as dynamics
 from sweep.dynamics import tree
 from sweep.dynamics.interface import ModelTopology, SmoothDynamics
-from sweep.dynamics.spatial import JointTriple, map_joints
-from sweep.dynamics.step import DriveLimits, PhysicsState, StepReport, StepStart, join_components, split_into_components
+from sweep.dynamics.spatial import JointTriple, map_leg_joints
+from sweep.dynamics.step import (
+    DriveLimits,
+    PhysicsState,
+    StepReport,
+    StepStart,
+    pack_physics_state,
+    unpack_physics_state,
+)
 from sweep.engines import batching
 from sweep.engines.closed_loop import exact_observation
-from sweep.metrics.tick import TickReport
+from sweep.metrics.tick import EngineTickReport
 from sweep.models.case import Case
 from sweep.models.disturbance import ExecutionFaults
 from sweep.models.drive import ServoCommand, interpolate_target
@@ -51,7 +58,7 @@ def make_tick_physics(settings: EngineSettings, top: ModelTopology) -> "TickPhys
     return TickPhysics(settings, batching.physics_steps_per_tick(settings), mjx.mjx_dynamics(top))
 
 
-def execution_limits(world: Case, step: Array, h: float) -> DriveLimits:
+def drive_limits_at_step(world: Case, step: Array, h: float) -> DriveLimits:
     """Return the limits of the drives and the push force (N) during one physics step.
 
     Args:
@@ -114,12 +121,12 @@ class TickTotals(NamedTuple):
     def add_step(self, report: StepReport) -> "TickTotals":
         """Return the totals with the report of one more physics step added."""
         return TickTotals(
-            map_joints(lambda peak, u: jnp.maximum(peak, jnp.abs(u)), self.torque_peak, report.torque),
-            map_joints(add, self.saturated, report.saturated),
+            map_leg_joints(lambda peak, u: jnp.maximum(peak, jnp.abs(u)), self.torque_peak, report.torque),
+            map_leg_joints(add, self.saturated, report.saturated),
             self.force + report.force,
             self.normal + report.normal,
             jnp.maximum(self.residual, report.residual),
-            map_joints(add, self.power, report.power),
+            map_leg_joints(add, self.power, report.power),
             reduce(add, (jnp.maximum(p, 0.0) for p in report.power), self.effort),
             self.external_power + report.external_power,
         )
@@ -134,11 +141,11 @@ class TickPhysics(NamedTuple):
 
     def energy(self, world: Case, state: PhysicsState) -> Array:
         """Return kinetic and potential energy (J) of robot and free bodies in a state."""
-        return dynamics.mechanical_energy(self.smooth_dynamics(world), world, split_into_components(state))[0]
+        return dynamics.mechanical_energy(self.smooth_dynamics(world), world, unpack_physics_state(state))[0]
 
     def advance(
         self, world: Case, state: PhysicsState, servo_before: ServoCommand, servo_after: ServoCommand, tick: Array
-    ) -> tuple[PhysicsState, TickReport]:
+    ) -> tuple[PhysicsState, EngineTickReport]:
         """Simulate the physics steps of one control tick.
 
         Args:
@@ -158,18 +165,18 @@ class TickPhysics(NamedTuple):
         def substep(carry: tuple, k: Array) -> tuple[tuple, None]:
             moving, totals, *_ = carry
             servo = interpolate_target(servo_before, servo_after, (k + 1) / n)
-            limits = execution_limits(world, tick * n + k, h)
+            limits = drive_limits_at_step(world, tick * n + k, h)
             moving, report = dynamics.step(smooth_dynamics, world, limits, moving, servo, h, self.settings.iterations)
             return (moving, totals.add_step(report), report.normal, report.start), None
 
         nothing = _initial_totals(world, state.q.dtype)
         (moving, totals, load, before), _ = jax.lax.scan(
-            substep, (split_into_components(state), *nothing), jnp.arange(n)
+            substep, (unpack_physics_state(state), *nothing), jnp.arange(n)
         )
-        state = join_components(moving)
+        state = pack_physics_state(moving)
         force, normal = (1 / n) * totals.force, totals.normal / n
         along = force - normal * before.normal
-        return state, TickReport(
+        return state, EngineTickReport(
             torque_peak=_by_joint(totals.torque_peak),
             saturated=_by_joint(totals.saturated) / n,
             force=force.array(),

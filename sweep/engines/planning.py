@@ -17,14 +17,14 @@ from jax.stages import Compiled
 from jaxtyping import Array, Float, Shaped
 
 from sweep.backends import devices
-from sweep.core.progress import time_step_part
+from sweep.core.progress import measure_part_duration
 from sweep.fused import eager, kernel
 from sweep.fused.arrays import UnsupportedPrimitive
 from sweep.fused.eager import NumpyProgram
 from sweep.fused.kernel import Kernel, KernelCode
 from sweep.models.legs import N_LEGS
 from sweep.planning import forces
-from sweep.planning.forces import Effort, ForceBounds, ForcePlanningPose, ForceProblem, SearchState
+from sweep.planning.forces import Effort, ForceBounds, ForcePlanningPose, ForceProblem, ForceSearchState
 
 StartFunction = Callable[..., Any]  # function of a rollout's world, belief and random key
 StoredPlanning = tuple[
@@ -74,25 +74,25 @@ def start_compilation(
         Shapes of the results for a batch, and a function that waits for the programs.
     """
     if use_numpy:
-        with suppress(UnsupportedPrimitive), time_step_part("plan"):
-            program = eager.trace(start, *key_and_case_shapes(arrays), external=forces.SEARCHES)
+        with suppress(UnsupportedPrimitive), measure_part_duration("plan"):
+            program = eager.trace_numpy_program(start, *single_rollout_input_shapes(arrays), external=forces.SEARCHES)
             return batch_shapes(program.result_shapes, len(arrays[2])), lambda: (program, _compile_searches(program))
     lowered = jax.jit(batch_start(start)).lower(*arrays)
     program = compile_in_pool(pool, "plan", lowered, devices.planning_compiler_options(has_forces))
     return lowered.out_info, lambda: (program.result(), {})
 
 
-def evaluate_plan(function: Callable[[], Any]) -> Any:
+def evaluate_planning_function(function: Callable[[], Any]) -> Any:
     """Evaluate a planning function on plain numbers, with compiled kernels for its searches for foot forces."""
 
     def search_by_name(name: str, *problems: Shaped[np.ndarray, "n ... 1"]) -> Float[np.ndarray, "n 6 3 1"]:
         forms = tuple(jax.ShapeDtypeStruct(x.shape[:-1], x.dtype) for x in problems)
         return _search_forces(Kernel(_compile_search(forces.SEARCHES[name], forms)), *problems)
 
-    return eager.evaluate_constants(function, {name: partial(search_by_name, name) for name in forces.SEARCHES})
+    return eager.evaluate_constant_function(function, {name: partial(search_by_name, name) for name in forces.SEARCHES})
 
 
-def key_and_case_shapes(arrays: Any) -> Any:
+def single_rollout_input_shapes(arrays: Any) -> Any:
     """Return the shapes of world, belief and random key of one rollout, from those of a batch."""
     return jax.tree.map(lambda x: jax.ShapeDtypeStruct((), x.dtype), arrays)
 
@@ -115,7 +115,7 @@ def compile_in_pool(
     """
 
     def compiled() -> Compiled:
-        with time_step_part(name):
+        with measure_part_duration(name):
             return program.compile(options)
 
     return pool.submit(compiled)
@@ -130,11 +130,13 @@ def _compile_searches(program: NumpyProgram) -> dict[str, KernelCode]:
 def _compile_search(least: Effort, problems: tuple[jax.ShapeDtypeStruct, ...]) -> KernelCode:
     """Compile the search for the forces of one pose."""
 
-    def tick(problem: ForceProblem, state: SearchState, number: Array) -> tuple[SearchState, dict[str, Array]]:
-        return forces.search_step(least, problem, state, number), {}
+    def tick(
+        problem: ForceProblem, state: ForceSearchState, number: Array
+    ) -> tuple[ForceSearchState, dict[str, Array]]:
+        return forces.force_search_step(least, problem, state, number), {}
 
     sought = _force_problem([jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in problems])
-    with time_step_part("search for forces"):
+    with measure_part_duration("search for forces"):
         return kernel.compile_function(tick, sought, _initial_search(sought.pose.arm))
 
 
@@ -152,12 +154,12 @@ def _search_forces(search: Kernel, *problems: Shaped[np.ndarray, "n ... b"]) -> 
     for first in range(0, len(force), POSES_PER_SLICE):
         some = jax.tree.map(lambda x, first=first: x[first : first + POSES_PER_SLICE], sought)
         tiles = search.load_batch(some, _initial_search(force[0]), len(some.pose.arm))
-        tiles.advance(0, len(forces.SLACK))
-        force[first : first + POSES_PER_SLICE] = tiles.read(lambda state: state.force)
+        tiles.advance_ticks(0, len(forces.SLACK))
+        force[first : first + POSES_PER_SLICE] = tiles.read_state_values(lambda state: state.force)
     return np.moveaxis(force.reshape(width, -1, *force.shape[1:]), 0, -1)
 
 
-def _initial_search(force: Any) -> SearchState:
+def _initial_search(force: Any) -> ForceSearchState:
     """State of the search before its first step."""
     zeros: Any = np.zeros((N_LEGS, 4), force.dtype)
-    return SearchState(zeros[:, :3], zeros[:, 3])
+    return ForceSearchState(zeros[:, :3], zeros[:, 3])

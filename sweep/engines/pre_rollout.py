@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from sweep.controllers.observation import draw_biases, draw_body_biases
+from sweep.controllers.observation import draw_free_body_biases, draw_sensor_biases
 from sweep.controllers.plan import Plan
 from sweep.core.errors import InputError
 from sweep.core.rotations import exponential, multiply
@@ -16,7 +16,7 @@ from sweep.engines import planning
 from sweep.engines.closed_loop import InitialState, start_state
 from sweep.estimation import calibration, touch
 from sweep.estimation.belief_update import LearnedState, updated_belief
-from sweep.estimation.calibration import HEIGHT, MOVES, CalibrationResult, Ground, PoseMeasurements
+from sweep.estimation.calibration import HEIGHT, MOVES, CalibrationResult, GroundPlane, PoseMeasurements
 from sweep.models.case import Case
 from sweep.models.legs import JOINT_Q, N_LEGS
 from sweep.models.obstacles.surface import Surface, body_poses, free_start_state, surface_at
@@ -44,14 +44,14 @@ def prepare_belief(world: Case, belief: Case, key: Array) -> tuple[Case, Plan, L
     plan, control = belief.manoeuvre.plan(belief), world.control
     if control.calibrate == "none" and control.touch == "none":
         return belief, plan, LearnedState()
-    seen = measure_poses(world, start_state(world, belief, plan), key)
+    seen = measure_calibration_poses(world, start_state(world, belief, plan), key)
     learned = LearnedState()
     if control.calibrate != "none":
         calibrated = calibration.estimate_sizes(control, belief.noise, belief.robot, _ground(belief, plan.start), seen)
         learned = learned._replace(calibration=calibrated)
     if control.touch != "none":
-        nothing = touch.init_touch(control, belief.obstacle)
-        if not touch.is_learned_by_feet(belief.obstacle):
+        nothing = touch.init_touch_state(control, belief.obstacle)
+        if not touch.is_estimated_from_foot_contacts(belief.obstacle):
             touched = touch.update_from_resting_bodies(
                 control, belief.noise, nothing, measure_body_positions(world, key)
             )
@@ -81,15 +81,15 @@ def check_control_settings(world: Case, belief: Case, plan: Plan) -> None:
     moves = f"obstacle = {obstacle.kind} may move"
     if control.touch != "none" and obstacle.free_bodies and not touch.learnable_sizes(obstacle):
         raise InputError(f"control.touch = {control.touch} is not allowed: {moves}")
-    if control.replan != "never" and not touch.is_learned_by_feet(obstacle):
+    if control.replan != "never" and not touch.is_estimated_from_foot_contacts(obstacle):
         raise InputError(f"control.replan = {control.replan} is not allowed: {moves}")
     if control.replan != "never" and control.touch == "none":
         raise InputError(f"control.replan = {control.replan} is not allowed: it needs control.touch = obstacle")
     if world.control.calibrate != "none":
-        check_level_start(belief, plan, control.calibrate)
+        check_calibration_stance(belief, plan, control.calibrate)
 
 
-def check_level_start(belief: Case, plan: Plan, calibrate: str) -> None:
+def check_calibration_stance(belief: Case, plan: Plan, calibrate: str) -> None:
     """Raise `InputError` if a robot that has to calibrate does not start with all feet on one plane.
 
     Args:
@@ -97,7 +97,7 @@ def check_level_start(belief: Case, plan: Plan, calibrate: str) -> None:
         plan: nominal plan.
         calibrate: value of `control.calibrate`, for the message.
     """
-    if not planning.evaluate_plan(lambda: _feet_start_level(belief, plan.start)):
+    if not planning.evaluate_planning_function(lambda: _feet_start_level(belief, plan.start)):
         kinds = f"manoeuvre = {belief.manoeuvre.kind} on obstacle = {belief.obstacle.kind}"
         asked = f"control.calibrate = {calibrate} is not allowed"
         raise InputError(f"{asked}: {kinds} does not start with all feet on the floor")
@@ -116,11 +116,11 @@ def _surface_under_feet(belief: Case, start: Stance) -> Surface:
     return surface_at(belief.obstacle, start.feet, body_poses(free_start_state(belief.obstacle)))
 
 
-def _ground(belief: Case, start: Stance) -> Ground:
+def _ground(belief: Case, start: Stance) -> GroundPlane:
     surface, foot = _surface_under_feet(belief, start), start.feet[0]
     normal = surface.normal[0]
     point = foot + surface.depth[0] * normal
-    return Ground(point, normal, (jnp.abs(point[2]) > FLOOR_TOLERANCE) | (normal[2] < 1 - FLOOR_TOLERANCE))
+    return GroundPlane(point, normal, (jnp.abs(point[2]) > FLOOR_TOLERANCE) | (normal[2] < 1 - FLOOR_TOLERANCE))
 
 
 def measure_body_positions(world: Case, key: Array) -> Float[Array, "k 3"]:
@@ -134,12 +134,12 @@ def measure_body_positions(world: Case, key: Array) -> Float[Array, "k 3"]:
         Position (k, 3) of each body, world axes.
     """
     noise, free = world.noise, free_start_state(world.obstacle)
-    bias = draw_body_biases(noise, jax.random.split(key)[0], free)[:, 0]
+    bias = draw_free_body_biases(noise, jax.random.split(key)[0], free)[:, 0]
     draws = jax.random.normal(jax.random.fold_in(key, BODY_POSITIONS_KEY), free.position.shape, float)
     return free.position + bias + noise.body_position_noise / jnp.sqrt(world.control.samples) * draws
 
 
-def measure_poses(world: Case, start: InitialState, key: Array) -> PoseMeasurements:
+def measure_calibration_poses(world: Case, start: InitialState, key: Array) -> PoseMeasurements:
     """Return what the sensors measure in the calibration poses, with the sensor errors of this rollout.
 
     The feet are put on the ground where the robot starts, and slip a little from pose to pose. A foot that a pose puts
@@ -170,7 +170,7 @@ def add_sensor_errors(world: Case, true: PoseMeasurements, key: Array) -> PoseMe
         true: true means over each pose.
         key: random key of the rollout, from which its biases are drawn.
     """
-    noise, bias = world.noise, draw_biases(world.noise, jax.random.split(key)[0])
+    noise, bias = world.noise, draw_sensor_biases(world.noise, jax.random.split(key)[0])
     draws = jax.random.normal(_error_keys(key)[1], (len(MOVES), 24), float) / jnp.sqrt(world.control.samples)
     turn = bias.turn + noise.orientation_noise * draws[:, 3:6]
     return PoseMeasurements(

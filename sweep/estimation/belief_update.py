@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from sweep.controllers.layers import ForceFeedforward, HeldLegs
+from sweep.controllers.layers import ForceFeedforward, JointSpaceLegs
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import Plan, stage_end_stances
 from sweep.controllers.tracker import TrackerState
@@ -38,7 +38,7 @@ def updated_belief(belief: Case, learned: LearnedState) -> Case:
         learned: what the robot has learned.
     """
     robot = learned.calibration.robot if learned.calibration else belief.robot
-    obstacle = touch.planning_obstacle(learned.touch) if learned.touch else belief.obstacle
+    obstacle = touch.cautious_planning_obstacle(learned.touch) if learned.touch else belief.obstacle
     return replace(belief, robot=robot, obstacle=obstacle)
 
 
@@ -52,7 +52,7 @@ def initial_obstacle(belief: Case, learned: LearnedState) -> Obstacle:
     return learned.touch.first_obstacle if learned.touch else belief.obstacle
 
 
-def update_from_touch(
+def update_belief_from_touch(
     world: Case,
     belief: Case,
     first_plan: Plan,
@@ -77,12 +77,12 @@ def update_from_touch(
         footholds (m, (6, 3), in their frames), or None; what the robot has learned.
     """
     plan = learned.plan or first_plan
-    if learned.touch is None or not touch.is_learned_by_feet(belief.obstacle):
+    if learned.touch is None or not touch.is_estimated_from_foot_contacts(belief.obstacle):
         return state, plan, None, learned
-    ground = touch.planned_surface(learned.touch, first_plan, state.stage)
+    ground = touch.planned_foothold_surface(learned.touch, first_plan, state.stage)
     robot = updated_belief(belief, learned).robot
     arguments = world.control, belief.noise, robot, plan, ground
-    touched, moves, searches = touch.touch_tick(*arguments, state, learned.touch, obs, period)
+    touched, moves, searches = touch.update_touch_estimate(*arguments, state, learned.touch, obs, period)
     swings = plan.swing[state.stage]
     foothold_offset = jnp.where(swings[:, None], moves, 0.0)
     patience = jnp.where(jnp.any(searches & swings), jnp.inf, plan.patience)
@@ -92,7 +92,7 @@ def update_from_touch(
     return state, replace(plan, patience=patience), foothold_offset, learned._replace(touch=touched)
 
 
-def replan_rest(belief: Case, plan: Plan, stage: Int[Array, ""], learned: LearnedState) -> LearnedState:
+def replan_remaining_stages(belief: Case, plan: Plan, stage: Int[Array, ""], learned: LearnedState) -> LearnedState:
     """Replan the stages after `stage` for the estimated sizes; keep the old plan if none exists for them.
 
     Planned forces stay as they are: they are expensive, and change by only about as much as the sizes.
@@ -107,7 +107,7 @@ def replan_rest(belief: Case, plan: Plan, stage: Int[Array, ""], learned: Learne
     latest = updated_belief(belief, learned)
     fresh = replace(latest.manoeuvre.plan(latest), start=current.start)
     if (forces := current.find_layer(ForceFeedforward)) is not None:
-        fresh = fresh.with_layer(forces)
+        fresh = fresh.replace_layer(forces)
     is_finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(fresh)]))
     remaining = jnp.arange(plan.duration.shape[0]) > stage
     shortfall = jnp.where(is_finite, jnp.max(jnp.where(remaining, _shortfall(latest, fresh), 0.0)), jnp.inf)
@@ -138,5 +138,5 @@ def _shortfall(belief: Case, plan: Plan) -> Float[Array, " s"]:
     """Distance (m) of the worst foot beyond its reach at the end of each stage, with free bodies where they start."""
     last = stage_end_stances(plan, free_start_state(belief.obstacle))
     out = jax.vmap(lambda stance: joint_targets(belief.robot, stance)[1])(last)
-    legs = plan.find_layer(HeldLegs)
+    legs = plan.find_layer(JointSpaceLegs)
     return jnp.max(out if legs is None else jnp.where(legs.held, 0.0, out), axis=1)

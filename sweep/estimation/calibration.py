@@ -37,7 +37,7 @@ class PoseMeasurements(NamedTuple):
     loaded: Bool[Array, "k 6"]  # feet that carry load
 
 
-class Ground(NamedTuple):
+class GroundPlane(NamedTuple):
     """Plane on which all feet stand during the calibration, as believed, world axes."""
 
     point: Float[Array, " 3"]  # m
@@ -75,7 +75,7 @@ def base_poses(control: Control, start: Stance) -> tuple[Float[Array, "k 3"], Fl
 
 
 def estimate_sizes(
-    control: Control, noise: Noise, robot: Robot, ground: Ground, measurements: PoseMeasurements
+    control: Control, noise: Noise, robot: Robot, ground: GroundPlane, measurements: PoseMeasurements
 ) -> CalibrationResult:
     """Estimate the robot's sizes from sensor measurements in the calibration poses.
 

@@ -14,8 +14,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers import frames
-from sweep.controllers.frames import to_frame, to_world
-from sweep.controllers.layers import HeldLegs
+from sweep.controllers.frames import points_to_frame, points_to_world
+from sweep.controllers.layers import JointSpaceLegs
 from sweep.controllers.observation import Observation, touchdown_detection_delay_s
 from sweep.controllers.plan import Plan
 from sweep.controllers.tracker import TrackerState
@@ -52,7 +52,7 @@ class TouchState(NamedTuple):
     has_landed: Bool[Array, " 6"]  # feet that have landed since their swing
     # m, outward shift of each foot's command that is still to be made; negative: it has moved on inward
     pending: Float[Array, " 6"]
-    caution: Float[Array, ""]  # standard deviations, see `planning_obstacle`
+    caution: Float[Array, ""]  # standard deviations, see `cautious_planning_obstacle`
 
 
 def learnable_sizes(obstacle: Obstacle | type[Obstacle]) -> tuple[str, ...]:
@@ -61,17 +61,17 @@ def learnable_sizes(obstacle: Obstacle | type[Obstacle]) -> tuple[str, ...]:
     If its free bodies move, these are the sizes that show when they lie on the floor, or when feet stand on them.
     """
     if obstacle.free_bodies:  # pyright: ignore[reportAttributeAccessIssue]
-        return obstacle.lying or obstacle.stood_on  # pyright: ignore[reportAttributeAccessIssue]
+        return obstacle.sizes_learnable_from_height or obstacle.sizes_learnable_from_feet  # pyright: ignore[reportAttributeAccessIssue]
     fields = dataclasses.fields(obstacle)  # pyright: ignore[reportArgumentType]
     return tuple(f.name for f in fields if f.metadata.get("role") == "quantity")
 
 
-def is_learned_by_feet(obstacle: Obstacle) -> bool:
+def is_estimated_from_foot_contacts(obstacle: Obstacle) -> bool:
     """Return whether the obstacle's sizes are estimated from foot contacts; else from where free bodies lie."""
-    return not obstacle.free_bodies or bool(obstacle.stood_on)
+    return not obstacle.free_bodies or bool(obstacle.sizes_learnable_from_feet)
 
 
-def init_touch(control: Control, obstacle: Obstacle) -> TouchState:
+def init_touch_state(control: Control, obstacle: Obstacle) -> TouchState:
     """Return the state of estimation from touch before any contact: sizes as believed, all feet standing.
 
     Args:
@@ -112,7 +112,7 @@ def update_from_stance(
     outside = jnp.sum((places - start.feet) * ground.normal, axis=1)
     variance = _variance(control, noise, touch_state.obstacle)
     known, _ = _update_sizes(touch_state, places, outside, ground.normal, variance, jnp.ones(N_LEGS, bool))
-    return known._replace(first_obstacle=planning_obstacle(known))
+    return known._replace(first_obstacle=cautious_planning_obstacle(known))
 
 
 def update_from_resting_bodies(
@@ -136,7 +136,7 @@ def update_from_resting_bodies(
     return _update_sizes_from_depths(touch_state, inside, variance, jnp.ones(len(owner), bool))[0]
 
 
-def planning_obstacle(touched: TouchState) -> Obstacle:
+def cautious_planning_obstacle(touched: TouchState) -> Obstacle:
     """Return the obstacle to plan for: uncertain heights are raised by `caution` standard deviations.
 
     A foot over a surface lower than planned moves on in search of it. If the surface is higher, links hit its edge
@@ -148,7 +148,7 @@ def planning_obstacle(touched: TouchState) -> Obstacle:
     return _with_sizes(touched.obstacle, _sizes(touched.obstacle) + more)
 
 
-def planned_surface(touch_state: TouchState, plan: Plan, stage: Int[Array, ""]) -> Surface:
+def planned_foothold_surface(touch_state: TouchState, plan: Plan, stage: Int[Array, ""]) -> Surface:
     """Return the believed obstacle surface under a stage's footholds, for which the first plan was made.
 
     Args:
@@ -156,10 +156,10 @@ def planned_surface(touch_state: TouchState, plan: Plan, stage: Int[Array, ""]) 
         plan: the first plan.
         stage: stage number.
     """
-    return frames.surface_under(touch_state.first_obstacle, plan.foothold[stage], plan.foot_frame[stage])
+    return frames.surface_under_feet(touch_state.first_obstacle, plan.foothold[stage], plan.foot_frame[stage])
 
 
-def touch_tick(
+def update_touch_estimate(
     control: Control,
     noise: Noise,
     robot: Robot,
@@ -189,7 +189,8 @@ def touch_tick(
         noise: believed sensor errors.
         robot: the robot, as believed.
         plan: plan that is followed.
-        ground: `planned_surface` of the stage; each foot is taken to be on its face, as deep inside as planned.
+        ground: `planned_foothold_surface` of the stage; each foot is taken to be on its face, as deep inside
+            as planned.
         state: state of the controller.
         touch_state: state of learning.
         obs: measurement of this tick.
@@ -205,11 +206,11 @@ def touch_tick(
 
     def feet(angles: Array) -> Array:
         places = feet_in_world(robot, obs.position, obs.quat, angles)
-        return to_world(to_frame(places, frame, free), frame, rest)
+        return points_to_world(points_to_frame(places, frame, free), frame, rest)
 
-    places, commanded, swing_start = feet(obs.angles), feet(state.joints), to_world(state.feet, frame, rest)
-    outside = jnp.sum((places - to_world(plan.foothold[stage], frame, rest)) * normal, axis=1)
-    legs = plan.find_layer(HeldLegs)
+    places, commanded, swing_start = feet(obs.angles), feet(state.joints), points_to_world(state.feet, frame, rest)
+    outside = jnp.sum((places - points_to_world(plan.foothold[stage], frame, rest)) * normal, axis=1)
+    legs = plan.find_layer(JointSpaceLegs)
     follows_footholds = jnp.ones(N_LEGS, bool) if legs is None else ~legs.held[stage]
     stands = follows_footholds & ~plan.swing[stage]
     lands = stands & obs.loaded & ~touch_state.has_landed
@@ -236,7 +237,7 @@ def touch_tick(
     standing_move = tracking - onwards
     pending = jnp.where(is_searching, pending - onwards, pending - tracking + yields)
     axes = rest._replace(position=jnp.zeros_like(rest.position))
-    moves = to_frame(jnp.where(stands, standing_move, pending)[:, None] * normal, frame, axes)
+    moves = points_to_frame(jnp.where(stands, standing_move, pending)[:, None] * normal, frame, axes)
     return known._replace(has_landed=landed, pending=pending), moves, is_searching
 
 

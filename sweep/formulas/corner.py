@@ -50,7 +50,7 @@ def corner_balanced(psi: CornerHalfAngle, eps: FootOffset, k: Friction) -> Balan
     return BalancedCornerForces(k_zeta, k_tau, N_u, N_d)
 
 
-class LeastFriction(NamedTuple):
+class LeastFrictionCoefficient(NamedTuple):
     """Result of `corner_least_friction`: least coefficient of friction, and its vertical and horizontal components."""
 
     k: Annotated[Float[Array, "..."], ""]
@@ -61,7 +61,7 @@ class LeastFriction(NamedTuple):
 @formula("monograph", "2.1.7-2.1.8")
 def corner_least_friction(
     psi: CornerHalfAngle, eps: FootOffset, squeeze: Annotated[Scalar, positive_input("P", 3.16)]
-) -> LeastFriction:
+) -> LeastFrictionCoefficient:
     """Least friction of the balanced scheme under a limit on the normal force.
 
     No normal force may pass `squeeze` (in P).
@@ -71,7 +71,7 @@ def corner_least_friction(
     total = 2 * squeeze * (2 * s * squeeze + eps) / (4 * s * squeeze + eps)
     k_zeta = 1 / (2 * total)
     k_tau = (k_zeta * eps + jnp.hypot(s, k_zeta * eps)) / c
-    return LeastFriction(jnp.hypot(k_tau, k_zeta), k_zeta, k_tau)
+    return LeastFrictionCoefficient(jnp.hypot(k_tau, k_zeta), k_zeta, k_tau)
 
 
 class EqualNormalForces(NamedTuple):
@@ -98,7 +98,7 @@ def corner_equalN(psi: CornerHalfAngle, eps: FootOffset, k: Friction) -> EqualNo
     return EqualNormalForces(k_zeta, (-2 * eps * k_zeta - s) / c, (2 * eps * k_zeta - s) / c, 1 / (4 * k_zeta))
 
 
-class LeastSqueeze(NamedTuple):
+class LeastSqueezeForce(NamedTuple):
     """Result of `corner_min_squeeze`: larger normal force of the best force distribution, in units of the load P."""
 
     Nhat: Annotated[Float[Array, "..."], "P"]
@@ -110,7 +110,7 @@ class LeastSqueeze(NamedTuple):
     correction="called optimal in 2.1, the balanced scheme squeezes more than this (3.16 P against 2.83 P)",
     condition=_CONDITION,
 )
-def corner_min_squeeze(psi: CornerHalfAngle, eps: FootOffset, k: Friction) -> LeastSqueeze:
+def corner_min_squeeze(psi: CornerHalfAngle, eps: FootOffset, k: Friction) -> LeastSqueezeForce:
     """Least force with which feet must squeeze a corner or pole so that the robot is in equilibrium.
 
     Of *all* equilibria of the four feet, in P; less than both schemes of monograph 2.1.
@@ -125,4 +125,4 @@ def corner_min_squeeze(psi: CornerHalfAngle, eps: FootOffset, k: Friction) -> Le
     lifted = 2 * jnp.sqrt(jnp.maximum(spare * pull**2 + eps * s * pull - eps**2 / 4, 0.0)) / c
     shared_below = c**2 * spare - (2 * eps * s) ** 2
     shared = c * jnp.hypot(c, 2 * eps) / (4 * jnp.sqrt(jnp.where(shared_below > 0, shared_below, 1.0)))
-    return LeastSqueeze(jnp.where(c * k > s, jnp.where(lifted >= 1, pull, shared), jnp.nan))
+    return LeastSqueezeForce(jnp.where(c * k > s, jnp.where(lifted >= 1, pull, shared), jnp.nan))

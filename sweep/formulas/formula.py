@@ -170,13 +170,13 @@ class Formula:
     def evaluate(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Evaluate the formula in double precision, and return plain numbers and lists. Raises `InputError`."""
         with jax.enable_x64(True):
-            outputs = self.compute(values)
+            outputs = self.evaluate_to_arrays(values)
         if not all(np.all(np.isfinite(value)) for value in outputs.values()):
             given = ", ".join(f"{name} = {_short(value)}" for name, value in self.complete_inputs(values).items())
             raise NoSolution(f"{self.name} has no solution for {given}: {self.condition or 'a result overflows'}")
         return {name: value.tolist() for name, value in outputs.items()}
 
-    def compute(self, values: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    def evaluate_to_arrays(self, values: Mapping[str, Any]) -> dict[str, np.ndarray]:
         """Evaluate the formula in JAX's default precision; NaN where there is no solution. Raises `InputError`."""
         inputs = self.complete_inputs(values)
         numbers = (inputs[each.name] if each.options else jnp.asarray(inputs[each.name]) for each in self.inputs)

@@ -72,10 +72,10 @@ class HipPositions(NamedTuple):
 @formula("monograph", "1.1.5-1.1.6")
 def mounts(b_p: Annotated[Scalar, positive_input("m", 0.525)]) -> HipPositions:
     """Hip positions of six legs on a circle."""
-    return HipPositions(legs.circular_mounts(b_p))
+    return HipPositions(legs.circular_hip_positions(b_p))
 
 
-class StepCycleFoot(NamedTuple):
+class StepCycleFootPosition(NamedTuple):
     """Result of `step_cycle`: position of the foot in the axes of its step cycle."""
 
     xy: Annotated[Float[Array, "... 2"], "m"]
@@ -94,10 +94,10 @@ def step_cycle(
     d_y: Annotated[Scalar, positive_input("m", 0.08)],
     kprime: Annotated[int, Input("", 2, options=(1, 2))],
     period: Annotated[Scalar, Input("s", 0.0, at_least=0)],
-) -> StepCycleFoot:
+) -> StepCycleFootPosition:
     """Foot position in a step cycle of swing and stance (period 0: the period that follows from kprime)."""
     full = jnp.where(jnp.asarray(period) > 0, period, tstar * (1 + 2 / kprime))
-    return StepCycleFoot(stepping.step_cycle(cycle, t % full, tstar, d_x, d_y, kprime))
+    return StepCycleFootPosition(stepping.step_cycle(cycle, t % full, tstar, d_x, d_y, kprime))
 
 
 class TransferProgress(NamedTuple):
@@ -115,4 +115,4 @@ def lambda1(
     sigma2: Annotated[Scalar, Input("", 1.0, at_least=0.5, at_most=1)],
 ) -> TransferProgress:
     """Share of an irregular swing's path that is covered at a time, and its rate."""
-    return TransferProgress(*stepping.trapezoidal_transfer(t, t0, tstar, sigma2))
+    return TransferProgress(*stepping.trapezoidal_transfer_timing(t, t0, tstar, sigma2))

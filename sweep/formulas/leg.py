@@ -83,7 +83,7 @@ def _angle(cosine: Array) -> Array:
     return jnp.where(clamped, jnp.where(cosine > 0, 0.0, jnp.pi), jnp.arccos(jnp.where(clamped, 0.0, cosine)))
 
 
-def rectangular_mounts(length: Array | float, width: Array | float) -> Float[Array, "6 3"]:
+def rectangular_hip_positions(length: Array | float, width: Array | float) -> Float[Array, "6 3"]:
     """Hip positions in two rows along the sides of a rectangular base: monograph 1.1.
 
     Args:
@@ -97,7 +97,7 @@ def rectangular_mounts(length: Array | float, width: Array | float) -> Float[Arr
     return jnp.stack([x, SIDE_BY_LEG * width / 2, jnp.zeros(6)], axis=-1)
 
 
-def circular_mounts(radius: Array | float) -> Float[Array, "6 3"]:
+def circular_hip_positions(radius: Array | float) -> Float[Array, "6 3"]:
     """Hip positions of legs 1 to 6 (m, base axes) at the corners of a hexagon of `radius` (m): monograph (1.1.5)."""
     angle = jnp.array([np.pi / 6 + i // 2 * np.pi / 3 for i in range(6)])
     return jnp.stack([-radius * jnp.cos(angle), SIDE_BY_LEG * radius * jnp.sin(angle), jnp.zeros(6)], axis=-1)

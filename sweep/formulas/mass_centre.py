@@ -67,7 +67,7 @@ def ball_jacobian(
     """
     fore = jnp.array([-1.0, -1.0, 0.0, 0.0, 1.0, 1.0]) * d2
     feet = jnp.stack([fore, leg.SIDE_BY_LEG * jnp.sqrt(d1**2 - fore**2), jnp.full(6, jnp.sqrt(R**2 - d1**2))], axis=-1)
-    mounts = leg.rectangular_mounts(a_r, b_r)
+    mounts = leg.rectangular_hip_positions(a_r, b_r)
     leg_mass = m1 + m2
     side = jnp.asarray(leg.SIDE_BY_LEG)
 

@@ -159,10 +159,10 @@ def raft_ode(
     state0 = jnp.asarray(state0)
     # Well above round-off, well below what the model is good for.
     accuracy = float(jnp.finfo(state0.dtype).eps) ** (2 / 3)
-    return RaftEndState(integrate(lambda state: state_derivative(prm, state), state0, t_end, accuracy))
+    return RaftEndState(integrate_dormand_prince(lambda state: state_derivative(prm, state), state0, t_end, accuracy))
 
 
-def integrate(
+def integrate_dormand_prince(
     rate: Callable[[Array], Array], start: Float[Array, " n"], end: Scalar, accuracy: float
 ) -> Float[Array, " n"]:
     """Integrate y' = rate(y) by the method of Dormand and Prince, of order 5.
@@ -202,12 +202,12 @@ def integrate(
 
 def state_derivative(raft: RaftBody, state: Float[Array, " 18"]) -> Float[Array, " 18"]:
     """Time derivative of a raft's state (r, R by rows, v, w): monograph (4.2.1), (4.2.3)."""
-    r, R, v, w = split_state(state)
+    r, R, v, w = split_raft_state(state)
     force, moment = raft_wrench(raft, r[2], R, v, w)
     spin = (moment - jnp.cross(w, raft.J * w)) / raft.J
     return jnp.concatenate([v, (R @ _cross(w)).ravel(), force / raft.M, spin])
 
 
-def split_state(state: Float[Array, " 18"]) -> tuple[Array, Array, Array, Array]:
+def split_raft_state(state: Float[Array, " 18"]) -> tuple[Array, Array, Array, Array]:
     """Split a state into position (3,), rotation (3, 3), velocity (3,) and angular velocity (3,)."""
     return state[:3], state[3:12].reshape(3, 3), state[12:15], state[15:]

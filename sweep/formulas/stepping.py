@@ -60,7 +60,7 @@ def step_cycle(
     return jnp.stack([x, y], axis=-1)
 
 
-def trapezoidal_transfer(
+def trapezoidal_transfer_timing(
     t: Array | float, t_0: Array | float, t_star: Array | float, sigma_2: Array | float = 1.0
 ) -> tuple[Array, Array]:
     """Timing lambda_1 of an irregular transfer, whose rate is a trapezoid over time: monograph (1.3.3).

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from sweep.fused.operations import fold_constants, simplify
+from sweep.fused.operations import fold_constants, simplify_to_operand
 from sweep.fused.program import (
-    Address,
     LegIndex,
     LegReduction,
+    MemoryAddress,
     MemoryRegion,
     Node,
     Program,
@@ -61,18 +61,18 @@ class ArrayBuilder:
     def constant(self, value: Any) -> Array:
         """Make an array of constant nodes from known numbers."""
         value = np.asarray(value)
-        return build_array(value.shape, lambda at: self.program.const(value[at], value.dtype.name))
+        return build_array(value.shape, lambda at: self.program.constant_node(value[at], value.dtype.name))
 
     def emit(self, name: str, dtype: str, *args: Node) -> Node:
         """Add an operation on numbers to the program, or return the operand that it simplifies to."""
         if all(x.op == "const" for x in args):
             value = fold_constants(name, dtype, [constant_value(x) for x in args])
-            return self.program.const(tuple(value) if np.ndim(value) else value, dtype)
-        if (simple := simplify(name, args)) is not None:
+            return self.program.constant_node(tuple(value) if np.ndim(value) else value, dtype)
+        if (simple := simplify_to_operand(name, args)) is not None:
             return simple
         if name == "neg" and args[0].op == "neg":
             return args[0].args[0]
-        return self.program.node(name, args, dtype)
+        return self.program.get_or_add_node(name, args, dtype)
 
     def map_elements(self, name: str, args: Sequence[Array], dtype: str) -> Array:
         """Apply an operation to arrays element by element; along an axis of all legs, one operation stands for all.
@@ -95,7 +95,7 @@ class ArrayBuilder:
                 for k in range(self.group):
                     result[(*at, k)] = self.emit(name, dtype, *[row[k] for row in rows])
             else:
-                result[at] = self.leg_values(self.emit(name, dtype, *legs))
+                result[at] = self.split_node_by_leg(self.emit(name, dtype, *legs))
         return np.moveaxis(result, -1, axis)
 
     def reduce(self, name: str, x: Array, axes: Sequence[int], dtype: Any) -> Array:
@@ -114,7 +114,7 @@ class ArrayBuilder:
         legs = next((k for k, a in enumerate(axes) if x.shape[a] == self.group and self._over_legs([x], a)), None)
         shape = tuple(x.shape[d] for d in kept)
         if legs is None:  # along a remaining axis it may still be one operation for all legs
-            parts = slices_along(rows.reshape(*shape, -1), -1)
+            parts = slices_along_axis(rows.reshape(*shape, -1), -1)
             return reduce(lambda total, one: self.map_elements(name, [total, one], np.dtype(dtype).name), parts)
         rows = np.moveaxis(rows, len(kept) + legs, -1)
 
@@ -125,7 +125,7 @@ class ArrayBuilder:
                 return self._fold(name, list(row.ravel()))
             whole = self._fold(name, [one[0] for one in found if one is not None])
             return (
-                self.program.node("over_legs", (whole,), whole.dtype, LegReduction(name), leg=False)
+                self.program.get_or_add_node("over_legs", (whole,), whole.dtype, LegReduction(name), leg=False)
                 if whole.leg
                 else self._fold(name, [whole] * self.group)
             )
@@ -162,16 +162,18 @@ class ArrayBuilder:
 
     # the legs
 
-    def leg_values(self, node: Node) -> list[Node]:
+    def split_node_by_leg(self, node: Node) -> list[Node]:
         """Split a node that holds one value for each leg into separate nodes, one for each leg."""
         if not node.leg:
             return [node] * self.group
         if node.op == "const":
-            return [self.program.const(value, node.dtype) for value in constant_value(node)]
+            return [self.program.constant_node(value, node.dtype) for value in constant_value(node)]
         if node.op in ("load", "gather"):
-            places = node.typed_extra(Address).leg_addresses(self.group)
-            return [self.program.node(node.op, node.args, node.dtype, place, leg=False) for place in places]
-        return [self.program.node("part", (node,), node.dtype, LegIndex(k), leg=False) for k in range(self.group)]
+            places = node.extra_data_of_type(MemoryAddress).leg_addresses(self.group)
+            return [self.program.get_or_add_node(node.op, node.args, node.dtype, place, leg=False) for place in places]
+        return [
+            self.program.get_or_add_node("part", (node,), node.dtype, LegIndex(k), leg=False) for k in range(self.group)
+        ]
 
     def _over_legs(self, arrays: Sequence[Array], axis: int) -> bool:
         """Whether any row along `axis` is a single node for all legs."""
@@ -188,7 +190,7 @@ class ArrayBuilder:
         return [self._packed(row) if x is None else x for x, row in zip(found, rows, strict=True)]
 
     def _packed(self, row: Array) -> Node:
-        return self.program.node("pack", tuple(row), row[0].dtype, leg=True)
+        return self.program.get_or_add_node("pack", tuple(row), row[0].dtype, leg=True)
 
     def _leg(self, row: Array) -> Node | None:
         """One node for a row that is uniform, consists of one node's parts, or lies evenly in memory."""
@@ -206,28 +208,34 @@ class ArrayBuilder:
             )
         if first.op == "const":
             same = all(x.op == "const" for x in row)
-            return self.program.const(tuple(constant_value(x) for x in row), first.dtype) if same else None
+            return self.program.constant_node(tuple(constant_value(x) for x in row), first.dtype) if same else None
         if first.op in ("load", "gather"):
-            region, index, depth, _ = first.typed_extra(Address)
-            step = second.typed_extra(Address).first_index - index
+            region, index, depth, _ = first.extra_data_of_type(MemoryAddress)
+            step = second.extra_data_of_type(MemoryAddress).first_index - index
             for k, x in enumerate(row):
-                if x.op != first.op or x.args != first.args or x.extra != Address(region, index + k * step, depth, 0):
+                if (
+                    x.op != first.op
+                    or x.args != first.args
+                    or x.extra != MemoryAddress(region, index + k * step, depth, 0)
+                ):
                     return None
-            return self.program.node(first.op, first.args, first.dtype, Address(region, index, depth, step), leg=True)
+            return self.program.get_or_add_node(
+                first.op, first.args, first.dtype, MemoryAddress(region, index, depth, step), leg=True
+            )
         return None
 
     # memory
 
-    def load(self, region: MemoryRegion, index: int, depth: int) -> Node:
+    def load_element(self, region: MemoryRegion, index: int, depth: int) -> Node:
         """Load element `index` of a memory region (an array in memory), for a block nested in `depth` loops."""
-        return self.program.node("load", (), region.dtype, Address(region, index, depth, 0), leg=False)
+        return self.program.get_or_add_node("load", (), region.dtype, MemoryAddress(region, index, depth, 0), leg=False)
 
     def load_array(self, region: Any, shape: tuple, depth: int) -> Array:
         """Load an array of `shape` from a region of memory, for code that is nested in `depth` loops."""
         at = np.arange(math.prod(shape)).reshape(shape)
-        return build_array(shape, lambda i: self.load(region, int(at[i]), depth))
+        return build_array(shape, lambda i: self.load_element(region, int(at[i]), depth))
 
-    def save(self, region: MemoryRegion | None, x: Array | RowUpdate, items: list[Any]) -> None:
+    def store_array(self, region: MemoryRegion | None, x: Array | RowUpdate, items: list[Any]) -> None:
         """Store an array to a region of memory; skip numbers that the memory already holds.
 
         Args:
@@ -241,8 +249,11 @@ class ArrayBuilder:
             stores = self._stores(region, x.new_row[0, ...])
             items.extend(replace(store, row_index=x.row, row_stride=x.new_row.size) for store in stores)
             return
-        for store in self._stores(region, self.resolve_update(x)):
-            unchanged = store.value.op == "load" and store.value.typed_extra(Address)[:2] == (region, store.index)
+        for store in self._stores(region, self.apply_row_update(x)):
+            unchanged = store.value.op == "load" and store.value.extra_data_of_type(MemoryAddress)[:2] == (
+                region,
+                store.index,
+            )
             if not unchanged:
                 items.append(store)
 
@@ -258,7 +269,7 @@ class ArrayBuilder:
             if (
                 leg is not None
                 and leg.leg
-                and (leg.op not in ("load", "gather") or leg.typed_extra(Address).region.byte_offset < 0)
+                and (leg.op not in ("load", "gather") or leg.extra_data_of_type(MemoryAddress).region.byte_offset < 0)
             ):
                 yield Store(region, int(row[0]), leg, int(row[1] - row[0]))
                 done.update(row.tolist())
@@ -270,8 +281,10 @@ class ArrayBuilder:
         """Region, first index and depth of an array that lies in memory unchanged; else None."""
         if not x.size or x.flat[0].op != "load":
             return None
-        region, first, depth, _ = x.flat[0].typed_extra(Address)
-        lies = all(n.op == "load" and n.extra == Address(region, first + k, depth, 0) for k, n in enumerate(x.flat))
+        region, first, depth, _ = x.flat[0].extra_data_of_type(MemoryAddress)
+        lies = all(
+            n.op == "load" and n.extra == MemoryAddress(region, first + k, depth, 0) for k, n in enumerate(x.flat)
+        )
         return (region, first, depth) if lies else None
 
     # indices that depend on the rollout
@@ -290,14 +303,14 @@ class ArrayBuilder:
             region, first, depth = memory
             place: Any = None
             for d in moving:
-                term = self.emit("mul", "int32", starts[d], self.program.const(strides[d], "int32"))
+                term = self.emit("mul", "int32", starts[d], self.program.constant_node(strides[d], "int32"))
                 place = term if place is None else self.emit("add", "int32", place, term)
             at = np.arange(x.size).reshape(x.shape)[known]
             at = at[tuple(slice(0, sizes[d]) for d in range(x.ndim))]
 
             def gather_element(i: tuple) -> Node:
-                address = Address(region, first + int(at[i]), depth, 0)
-                return self.program.node("gather", (place,), region.dtype, address, leg=False)
+                address = MemoryAddress(region, first + int(at[i]), depth, 0)
+                return self.program.get_or_add_node("gather", (place,), region.dtype, address, leg=False)
 
             return build_array(at.shape, gather_element)
         x = x[known]
@@ -310,12 +323,12 @@ class ArrayBuilder:
             x = self.select_by_index(np.full(windows[0].shape, starts[d], object), windows)
         return x
 
-    def resolve_update(self, x: Array | RowUpdate) -> Array:
+    def apply_row_update(self, x: Array | RowUpdate) -> Array:
         """Turn a row update into a plain array whose elements select between old and new row."""
         if not isinstance(x, RowUpdate):
             return x
         result = x.array.copy()
-        self.write_window(result, x.new_row, {0: x.row}, None)
+        self.scatter_window(result, x.new_row, {0: x.row}, None)
         return result
 
     def update_window(self, x: Array, part: Array, starts: dict[int, Node]) -> Array | RowUpdate:
@@ -333,10 +346,10 @@ class ArrayBuilder:
         if row and self._memory(x):
             return RowUpdate(x, starts[0], part)
         result = x.copy()
-        self.write_window(result, part, starts, None)
+        self.scatter_window(result, part, starts, None)
         return result
 
-    def write_window(self, x: Array, update: Array, starts: dict[int, Node], combine: str | None) -> None:
+    def scatter_window(self, x: Array, update: Array, starts: dict[int, Node], combine: str | None) -> None:
         """Write `update` into `x` in place, as `lax.scatter` does; a window that does not fit into `x` is ignored.
 
         Args:
@@ -354,7 +367,7 @@ class ArrayBuilder:
             here = None
             for d, start in starts.items():
                 if start.op != "const":
-                    same = self.emit("eq", "bool", start, self.program.const(place[d], start.dtype))
+                    same = self.emit("eq", "bool", start, self.program.constant_node(place[d], start.dtype))
                     here = same if here is None else self.emit("and", "bool", here, same)
             window = tuple(slice(k, k + m) for k, m in zip(place, update.shape, strict=True))
             dtype = x.flat[0].dtype
@@ -366,7 +379,7 @@ class ArrayBuilder:
         """Clamp an index to 0 .. `most`."""
         if start.dtype != "int32":
             start = self.emit("convert", "int32", start)
-        zero, top = (self.program.const(v, "int32") for v in (0, most))
+        zero, top = (self.program.constant_node(v, "int32") for v in (0, most))
         return self.emit("min", "int32", self.emit("max", "int32", start, zero), top)
 
 
@@ -378,7 +391,7 @@ def build_array(shape: tuple, element: Callable[[tuple], Any]) -> Array:
     return out
 
 
-def slices_along(x: Array, axis: int) -> list[Array]:
+def slices_along_axis(x: Array, axis: int) -> list[Array]:
     """Return the slices of an array along an axis."""
     moved = np.moveaxis(x, axis, 0)
     return [moved[k, ...] for k in range(len(moved))]

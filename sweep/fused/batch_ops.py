@@ -16,7 +16,7 @@ BLOCK_SIZE = 1 << 14  # numbers of a product that are in cache at a time
 MIN_VIEW_SIZE = 4096  # size from which broadcasting without a copy is faster
 
 
-def convert(dtype: np.dtype, x: BatchArray) -> BatchArray:
+def convert_dtype(dtype: np.dtype, x: BatchArray) -> BatchArray:
     """Convert numbers to another type."""
     return x.astype(dtype)
 
@@ -26,7 +26,7 @@ def reinterpret_bits(dtype: np.dtype, x: BatchArray) -> BatchArray:
     return x.view(dtype)
 
 
-def power(exponent: int, x: BatchArray) -> BatchArray:
+def integer_power(exponent: int, x: BatchArray) -> BatchArray:
     """Raise `x` to an integer power by repeated squaring."""
     result, square = None, x
     for bit in bin(abs(exponent))[:1:-1]:
@@ -38,12 +38,12 @@ def power(exponent: int, x: BatchArray) -> BatchArray:
     return result if exponent > 0 else 1 / result
 
 
-def quotient(x: BatchArray, y: BatchArray) -> BatchArray:
+def integer_quotient(x: BatchArray, y: BatchArray) -> BatchArray:
     """Integer division that rounds towards zero."""
     return np.trunc(x / y).astype(x.dtype)
 
 
-def reciprocal_root(x: BatchArray) -> BatchArray:
+def rsqrt(x: BatchArray) -> BatchArray:
     """One over the square root: 1 / sqrt(x)."""
     return 1 / np.sqrt(x)
 
@@ -78,7 +78,7 @@ def polynomial(x: BatchArray, *coefficients: BatchArray) -> BatchArray:
     return total
 
 
-def select(index: BatchArray, *cases: BatchArray) -> BatchArray:
+def select_n(index: BatchArray, *cases: BatchArray) -> BatchArray:
     """For each element, choose the array with number `index` and return the element from it."""
     if len(cases) == 2:
         return np.where(index, cases[1], cases[0])
@@ -166,7 +166,7 @@ def _broadcast_widths(parts: Sequence[BatchArray]) -> list[BatchArray]:
 # reductions
 
 
-def sum_terms(add: np.ufunc, axes: tuple[int, ...], x: BatchArray) -> BatchArray:
+def reduce_in_order(add: np.ufunc, axes: tuple[int, ...], x: BatchArray) -> BatchArray:
     """Reduce an array along axes term by term, in a fixed order, so that rounding is reproducible."""
     kept = [d for d in range(x.ndim) if d not in axes]
     total, *others = x.transpose(*axes, *kept).reshape(-1, *[x.shape[d] for d in kept])
@@ -260,7 +260,7 @@ def cholesky(x: BatchArray) -> BatchArray:
     return result
 
 
-class TriangularSystem(NamedTuple):
+class TriangularSolveParameters(NamedTuple):
     """Static parameters of a triangular system of equations."""
 
     left: bool  # whether the triangle is the left factor
@@ -269,7 +269,7 @@ class TriangularSystem(NamedTuple):
     unit: bool  # whether its diagonal is all ones
 
 
-def solve_triangular(how: TriangularSystem, a: BatchArray, b: BatchArray) -> BatchArray:
+def solve_triangular(how: TriangularSolveParameters, a: BatchArray, b: BatchArray) -> BatchArray:
     """Solve a triangular system of linear equations by substitution."""
     if how.transposed == how.left:
         a = a.swapaxes(-3, -2)
@@ -301,7 +301,7 @@ class WindowIndexing(NamedTuple):
     batch_axes: tuple[int, ...]  # axes of the result that run over the indices
     rank: int  # rank of the result
 
-    def resolve(self, indices: BatchArray) -> tuple[list[BatchArray], BatchArray]:
+    def element_indices(self, indices: BatchArray) -> tuple[list[BatchArray], BatchArray]:
         """Compute the index in the array for each element of the windows.
 
         Args:
@@ -332,7 +332,7 @@ class WindowIndexing(NamedTuple):
 def gather(places: WindowIndexing, fill: Any, x: BatchArray, indices: BatchArray) -> BatchArray:
     """Return windows of `x` at `indices`. Elements outside the array are `fill`, or clamped to the nearest if `fill` is
     None."""
-    at, within = places.resolve(indices)
+    at, within = places.element_indices(indices)
     if all(i.shape[-1] == 1 for i in at):
         result = x[(*np.broadcast_arrays(*[i[..., 0] for i in at]), slice(None))]
     else:
@@ -347,7 +347,7 @@ def scatter(
     """Write updates into windows of `x`, or add them; windows outside of the array are ignored."""
     width = max(y.shape[-1] for y in (x, indices, updates))
     result = np.repeat(x, width, axis=-1) if x.shape[-1] < width else x.copy()
-    at, within = places.resolve(indices)
+    at, within = places.element_indices(indices)
     *at, within, updates = np.broadcast_arrays(*at, np.arange(width), within | clip, updates)
     chosen = within.all() or within
     into, new = (tuple(at), updates) if chosen is True or chosen is np.True_ else (

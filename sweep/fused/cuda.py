@@ -19,19 +19,19 @@ import numpy as np
 
 from sweep.fused import lanes
 from sweep.fused.arrays import UnsupportedPrimitive
-from sweep.fused.lanes import RECOMPUTED_OPERATIONS, KernelPart, MemoryPlace
+from sweep.fused.lanes import RECOMPUTED_OPERATIONS, KernelSection, MemoryPlace
 from sweep.fused.program import (
-    Address,
     Block,
     Branch,
     LegIndex,
     LegReduction,
     Loop,
     LoopCount,
+    MemoryAddress,
     MemoryRegion,
     Node,
     Store,
-    StoredNode,
+    StoredNodeReference,
     constant_value,
 )
 from sweep.fused.text import INTRINSICS, LLVM_TYPES, LlvmFunctionPrinter
@@ -43,7 +43,7 @@ NATIVE_FUNCTIONS = {"sqrt", "floor", "ceil", "round"}
 ZERO, HALF, ONE = "0.0", "0.5", "1.0"
 
 
-class StoredValue(NamedTuple):
+class StoredValueLocation(NamedTuple):
     """Location in a rollout's memory of a value that one part of a GPU kernel computes for later parts."""
 
     word: int
@@ -53,7 +53,7 @@ class StoredValue(NamedTuple):
     has_own_memory: bool  # whether it has room of its own, outside of the state's arrays
 
 
-class GpuPrinter(LlvmFunctionPrinter):
+class GpuKernelPrinter(LlvmFunctionPrinter):
     """Prints a program as a GPU kernel `run(given, first, state)`, optionally with recorded columns.
 
     A launch runs `ticks` ticks. `given` and `state` are tiles of memory. `kept` holds each rollout's place among the
@@ -80,26 +80,26 @@ class GpuPrinter(LlvmFunctionPrinter):
         self.names: dict[Any, str] = {}
         self.found: dict[Any, Any] = {}  # names of values in this basic block
         self.rollout = self.given = self.state = ""  # names in this part
-        self.alone: lanes.ThreadPart | None = None  # this part, if each thread has a rollout
+        self.alone: lanes.RolloutPerThreadSection | None = None  # this part, if each thread has a rollout
         self.counts: dict[int, str] = {}
         self.tables: list[str] = []
         self.here: dict[MemoryPlace, str] = {}  # present values of inner memory
-        self.rows, self.inner = lanes.find_leg_rows(top, needed, group)
+        self.rows, self.inner = lanes.find_per_leg_memory_rows(top, needed, group)
         self.words = sizes[1]  # words of a rollout: its state, then indexed memory, then values passed between parts
         self.scratch: dict[MemoryRegion, int] = {}
         for region in self.inner:
             self.scratch[region] = self.words
             self.words += region.size
-        self.kept: dict[int | MemoryPlace, StoredValue] = {}  # values that parts pass on
-        self.home: dict[int | MemoryPlace, KernelPart] = {}
+        self.kept: dict[int | MemoryPlace, StoredValueLocation] = {}  # values that parts pass on
+        self.home: dict[int | MemoryPlace, KernelSection] = {}
         (loop,) = (item for item in top.items if isinstance(item, Loop))
-        before = [item for item in lanes.items_depth_first(top, needed) if item is not loop]
+        before = [item for item in lanes.block_items_depth_first(top, needed) if item is not loop]
         flag = next(
             (s.region for s in loop.body.stores if s.region.byte_offset == is_over and not s.region.is_record), None
         )
         parts = [
-            KernelPart(before, top.stores, False),
-            *lanes.split_into_parts(loop.body, needed, flag, group, small_batch, self.rows),
+            KernelSection(before, top.stores, False),
+            *lanes.split_into_kernel_sections(loop.body, needed, flag, group, small_batch, self.rows),
         ]
         self._keep(parts)
         self._head()
@@ -159,12 +159,12 @@ class GpuPrinter(LlvmFunctionPrinter):
             else:
                 self._branch(item)
 
-    def _thread_items(self, alone: lanes.ThreadPart, part: KernelPart) -> None:
+    def _thread_items(self, alone: lanes.RolloutPerThreadSection, part: KernelSection) -> None:
         """Print a part with one rollout in each thread; it stores values early, so that few are alive at a time."""
         ready = {}  # words for later parts, by the number of a node
         for key, (word, step, node, _, apart) in self.kept.items():
             if self.home[key] is part and apart and isinstance(key, int):
-                for k, x in enumerate(alone.values_by_leg(node)):
+                for k, x in enumerate(alone.nodes_by_leg(node)):
                     ready.setdefault(x.number, []).append((word + k * step, x))
         done: set[int] = set()
         for k, item in enumerate(alone.items):
@@ -183,48 +183,52 @@ class GpuPrinter(LlvmFunctionPrinter):
         self._stores([store for store in alone.stores if id(store) not in done], part)
 
     def _block(self, block: Block) -> None:
-        self._items(block.items if self.alone else lanes.items_depth_first(block, self.needed))
+        self._items(block.items if self.alone else lanes.block_items_depth_first(block, self.needed))
         self._stores(block.stores)
 
     def _start(self, label: str) -> None:
         self.start_block(label)
         self.found = {}
 
-    def _keep(self, parts: Sequence[KernelPart]) -> None:
+    def _keep(self, parts: Sequence[KernelSection]) -> None:
         """Allocate room for the values that a part passes on and that the state does not hold anyway."""
-        stored: dict[int | MemoryPlace, StoredValue] = {}
+        stored: dict[int | MemoryPlace, StoredValueLocation] = {}
         for part in parts:
-            for node in lanes.operands_of_part(part, self.needed):
-                if node.op == "load" and not self._is_outer(node.typed_extra(Address).region):
-                    key, leg = (place := self._row(*node.typed_extra(Address)[:2])[0]), place in self.rows
+            for node in lanes.section_operands(part, self.needed):
+                if node.op == "load" and not self._is_outer(node.extra_data_of_type(MemoryAddress).region):
+                    key, leg = (place := self._row(*node.extra_data_of_type(MemoryAddress)[:2])[0]), place in self.rows
                 elif node.op not in RECOMPUTED_OPERATIONS:
                     key, leg = node.number, node.leg
                 else:
                     continue
                 if self.home.get(key, part) is not part and key not in self.kept:
-                    self.kept[key] = stored.get(key) or StoredValue(self.words, 1 if leg else 0, node, leg, True)
+                    self.kept[key] = stored.get(key) or StoredValueLocation(
+                        self.words, 1 if leg else 0, node, leg, True
+                    )
                     self.words += (self.group if leg else 1) * self.kept[key].has_own_memory
             self.home |= {item.number: part for item in part.items if isinstance(item, Node)}
             self.home |= dict.fromkeys(self._changed_places(part.items), part)
             if part is not parts[0]:
                 stored |= dict(self._in_state(part))
 
-    def _in_state(self, part: KernelPart) -> Iterator[tuple[int | MemoryPlace, "StoredValue"]]:
+    def _in_state(self, part: KernelSection) -> Iterator[tuple[int | MemoryPlace, "StoredValueLocation"]]:
         """Values that a part stores to the state anyway, from where later parts can read them."""
         for store in part.stores:
             node, region = store.value, store.region
             key, leg = node.number, node.leg
             if node.op == "load":
-                key = self._row(*node.typed_extra(Address)[:2])[0]
+                key = self._row(*node.extra_data_of_type(MemoryAddress)[:2])[0]
                 leg = key in self.rows
             fixed = self._is_outer(region) and not region.is_record and not store.row_index
             if self.home.get(key) is part and leg == node.leg and fixed:
                 yield (
                     key,
-                    StoredValue(self._start_of(region) + store.index, store.leg_stride if leg else 0, node, leg, False),
+                    StoredValueLocation(
+                        self._start_of(region) + store.index, store.leg_stride if leg else 0, node, leg, False
+                    ),
                 )
 
-    def _ticks(self, before: KernelPart, *parts: KernelPart) -> None:
+    def _ticks(self, before: KernelSection, *parts: KernelSection) -> None:
         """Print all ticks, part by part: a block's rollouts all go through one part before the next."""
         self._part("P", before)
         at, entered = len(self.lines) + 2, self.label
@@ -238,7 +242,7 @@ class GpuPrinter(LlvmFunctionPrinter):
         self.lines.append(f"br i1 {more}, label %tick, label %end")
         self._start("end")
 
-    def _part(self, name: str, part: KernelPart) -> None:
+    def _part(self, name: str, part: KernelSection) -> None:
         """Print a part for all rollouts of a block, a few at a time; warps run side by side and share instructions."""
         size = self.beside * MAX_WARPS_PER_BLOCK if part.legs_in_lanes else 32 * MAX_WARPS_PER_BLOCK
         turns, ragged = -(-self.rollouts // size), self.rollouts % size > 0
@@ -267,7 +271,7 @@ class GpuPrinter(LlvmFunctionPrinter):
             idle = self.emit(f"or i1 {idle}, {every}") if ragged else every
         self.lines.append(f"br i1 {idle}, label %{name}_d, label %{name}_g")
         self._start(f"{name}_g")
-        self.alone = None if part.legs_in_lanes else lanes.ThreadPart(part, self.needed, self.group)
+        self.alone = None if part.legs_in_lanes else lanes.RolloutPerThreadSection(part, self.needed, self.group)
         if self.alone:
             self._thread_items(self.alone, part)
         else:
@@ -332,9 +336,11 @@ class GpuPrinter(LlvmFunctionPrinter):
         if node.op == "any_rollout":
             return self._nvvm("vote.any.sync", "i1", ALL_LANES_MASK, f"i1 {self.value_name(node.args[0])}")
         if node.op in RECOMPUTED_OPERATIONS or node.op == "count":
-            return self.counts[node.typed_extra(LoopCount).depth] if node.op == "count" else self.value_name(node)
+            return (
+                self.counts[node.extra_data_of_type(LoopCount).depth] if node.op == "count" else self.value_name(node)
+            )
         args = [self._uniform(x) for x in node.args]
-        return self.arithmetic(node.op, node.dtype, args, [x.dtype for x in node.args])
+        return self.print_arithmetic(node.op, node.dtype, args, [x.dtype for x in node.args])
 
     def _changed_places(self, items: Iterable[Any]) -> Iterator[MemoryPlace]:
         """Places in inner memory that are stored to, each once."""
@@ -351,7 +357,7 @@ class GpuPrinter(LlvmFunctionPrinter):
     def _place(self, region: MemoryRegion, index: int) -> MemoryPlace:
         return (region, index) if self.alone else self._row(region, index)[0]
 
-    def _stores(self, stores: Sequence[Store], part: KernelPart | None = None) -> None:
+    def _stores(self, stores: Sequence[Store], part: KernelSection | None = None) -> None:
         """Store values that are all computed; at the end of a part also those that later parts need."""
         values = [(store, self.value_name(store.value)) for store in stores]
         told = [pair for pair in values if pair[0].region.is_record]
@@ -376,7 +382,7 @@ class GpuPrinter(LlvmFunctionPrinter):
             self._nvvm("bar.warp.sync", "void", ALL_LANES_MASK)
             self.found = {key: x for key, x in self.found.items() if not isinstance(key, tuple)}
 
-    def _outgoing_values(self, part: KernelPart) -> Iterator[tuple[int, int, str, str]]:
+    def _outgoing_values(self, part: KernelSection) -> Iterator[tuple[int, int, str, str]]:
         """Values that this part passes on: word, step from leg to leg, type and name."""
         for key, (word, step, node, leg, apart) in self.kept.items():
             if self.home[key] is not part or not apart or (self.alone and isinstance(key, int)):
@@ -477,10 +483,10 @@ class GpuPrinter(LlvmFunctionPrinter):
         if node.op == "const" and not node.leg:
             return self.literal(constant_value(node))
         if node.op == "handed_on":
-            return self._incoming_value(*node.typed_extra(StoredNode))
+            return self._incoming_value(*node.extra_data_of_type(StoredNodeReference))
         if node.op not in RECOMPUTED_OPERATIONS:
             return self.names.get(node.number) or self._incoming_value(node.number)
-        if node.op == "load" and not self._is_outer(node.typed_extra(Address).region):
+        if node.op == "load" and not self._is_outer(node.extra_data_of_type(MemoryAddress).region):
             return self._register_value(node)
         key = node.number, "memory"
         if key not in self.found:
@@ -490,7 +496,7 @@ class GpuPrinter(LlvmFunctionPrinter):
 
     def _register_value(self, node: Node) -> str:
         """Value of a number of inner memory, which is held in a register."""
-        region, index, _, _ = node.typed_extra(Address)
+        region, index, _, _ = node.extra_data_of_type(MemoryAddress)
         (first, leg), there = self._row(region, index), self._place(region, index)
         if self.alone:
             return self.here.get(there) or self._incoming_value(first, leg)
@@ -499,7 +505,7 @@ class GpuPrinter(LlvmFunctionPrinter):
         return value if whole else self._shuffle(value, region.dtype, self._lane(leg))
 
     def _load(self, node: Node) -> str:
-        region, index, _, step = node.typed_extra(Address)
+        region, index, _, step = node.extra_data_of_type(MemoryAddress)
         base = self._base(region)
         offset = (self._start_of(region) + index) * self.row
         return self._read(region.dtype, self._leg(base, step) if node.leg else base, offset)
@@ -536,26 +542,28 @@ class GpuPrinter(LlvmFunctionPrinter):
 
     def _over_legs(self, node: Node) -> str:
         """Reduce over the legs: opposite legs first, then the pairs in order."""
-        value, kinds, op = self.value_name(node.args[0]), [node.dtype] * 2, node.typed_extra(LegReduction).op
-        pair = self.arithmetic(op, node.dtype, [value, self._shuffle(value, node.dtype, "%across")], kinds)
+        value, kinds, op = self.value_name(node.args[0]), [node.dtype] * 2, node.extra_data_of_type(LegReduction).op
+        pair = self.print_arithmetic(op, node.dtype, [value, self._shuffle(value, node.dtype, "%across")], kinds)
         total = self._shuffle(pair, node.dtype, self._lane(0))
         for k in range(1, self.group // 2):
             one = self._shuffle(pair, node.dtype, self._lane(k))
-            total = self.arithmetic(op, node.dtype, [total, one], kinds)
+            total = self.print_arithmetic(op, node.dtype, [total, one], kinds)
         return total
 
     def _work(self, node: Node) -> str:
         """Print a node's operation."""
         match node.op:
             case "gather":
-                region, index, _, step = node.typed_extra(Address)
+                region, index, _, step = node.extra_data_of_type(MemoryAddress)
                 base = self._base(region)
                 place = self.emit(f"mul i32 {self.value_name(node.args[0])}, {self.row}")
                 offset = self.emit(f"add i32 {place}, {(self._start_of(region) + index) * self.row}")
                 return self._read(region.dtype, self._leg(base, step) if node.leg else base, offset)
             case "part":
                 whole = node.args[0]
-                return self._shuffle(self.value_name(whole), whole.dtype, self._lane(node.typed_extra(LegIndex).leg))
+                return self._shuffle(
+                    self.value_name(whole), whole.dtype, self._lane(node.extra_data_of_type(LegIndex).leg)
+                )
             case "pack":
                 value, kind = self.value_name(node.args[-1]), LLVM_TYPES[node.dtype]
                 for k in range(self.group - 2, -1, -1):
@@ -565,14 +573,14 @@ class GpuPrinter(LlvmFunctionPrinter):
             case "over_legs":
                 return self._over_legs(node)
             case "count":
-                return self.counts[node.typed_extra(LoopCount).depth]
+                return self.counts[node.extra_data_of_type(LoopCount).depth]
             case _ if node.op in INTRINSICS and node.op not in NATIVE_FUNCTIONS:
                 raise UnsupportedPrimitive(f"{node.op} of {node.dtype} on a GPU")
             case _:
                 args = [self.value_name(x) for x in node.args]
-                return self.arithmetic(node.op, node.dtype, args, [x.dtype for x in node.args])
+                return self.print_arithmetic(node.op, node.dtype, args, [x.dtype for x in node.args])
 
-    def arithmetic(self, op: str, dtype: str, args: list[str], kinds: Sequence[str]) -> str:
+    def print_arithmetic(self, op: str, dtype: str, args: list[str], kinds: Sequence[str]) -> str:
         """Print an operation without branches, which would split this basic block.
 
         Args:
@@ -586,7 +594,11 @@ class GpuPrinter(LlvmFunctionPrinter):
         if dtype in ("int32", "uint32") and op == "add":
             # not `add`: one of LLVM's passes compares each sum with all others, 20 s for the words of noise
             return self.emit(f"sub i32 {args[0]}, {self.emit(f'sub i32 0, {args[1]}')}")
-        return self._root(*args) if dtype == "float32" and op == "sqrt" else super().arithmetic(op, dtype, args, kinds)
+        return (
+            self._root(*args)
+            if dtype == "float32" and op == "sqrt"
+            else super().print_arithmetic(op, dtype, args, kinds)
+        )
 
     def _quotient(self, a: str, b: str) -> str:
         """a / b with IEEE rounding, if neither 1 / b nor the quotient overflows or underflows."""
@@ -616,7 +628,7 @@ class GpuPrinter(LlvmFunctionPrinter):
         itself = self.emit(f"and i1 {odd}, {self.emit(f'fcmp oge float {x}, {ZERO}')}")
         return self.emit(f"select i1 {itself}, float {x}, float {root}")
 
-    def max_or_min(self, op: str, dtype: str, args: list[str]) -> str:
+    def print_max_or_min(self, op: str, dtype: str, args: list[str]) -> str:
         """Print the LLVM code for the maximum or minimum of two numbers; NaN if either is NaN.
 
         Args:

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import Jaxpr, Literal
 
-from sweep.fused.jaxprs import ScanOperands, count_carry_results, inner_jaxpr, inner_jaxprs, split_scan_operands
+from sweep.fused.jaxprs import ScanOperands, count_carry_results, inner_jaxprs, open_jaxpr, split_scan_operands
 
 UsedFlags = list[bool]
 
@@ -30,7 +30,7 @@ def find_used_inputs(function: Callable[..., Any], *args: Any) -> Any:
     return jax.tree.unflatten(jax.tree.structure(args), used)
 
 
-def find_unread_columns(
+def find_inactive_parameters(
     outputs: Callable[[Any, Any, jax.Array], Any],
     sides: Callable[[Mapping[str, Any]], tuple[Any, Any]],
     ends: Mapping[str, tuple[float, float]],
@@ -82,7 +82,7 @@ def _used_of_equation(equation: Any, wanted: UsedFlags) -> UsedFlags:
 
 def _used_of_scan(equation: Any, wanted: UsedFlags) -> UsedFlags:
     """Inputs of a scan: a carried number counts where a later turn or the result makes use of it."""
-    body, carried = inner_jaxpr(equation.params["jaxpr"]), count_carry_results(equation)
+    body, carried = open_jaxpr(equation.params["jaxpr"]), count_carry_results(equation)
 
     def used(carry: UsedFlags) -> ScanOperands[bool]:
         return split_scan_operands(equation, _used_of_jaxpr(body, [*carry, *wanted[carried:]]))
@@ -94,7 +94,7 @@ def _used_of_scan(equation: Any, wanted: UsedFlags) -> UsedFlags:
 
 def _used_of_while(equation: Any, wanted: UsedFlags) -> UsedFlags:
     """Inputs of a loop: what its condition looks at counts, too."""
-    test, body = (inner_jaxpr(equation.params[name]) for name in ("cond_jaxpr", "body_jaxpr"))
+    test, body = (open_jaxpr(equation.params[name]) for name in ("cond_jaxpr", "body_jaxpr"))
     of_test, of_body = equation.params["cond_nconsts"], equation.params["body_nconsts"]
     asked = _used_of_jaxpr(test, [True])
     carry = [a or b for a, b in zip(wanted, asked[of_test:], strict=True)]

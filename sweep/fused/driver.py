@@ -106,7 +106,7 @@ class _Frame(ctypes.Structure):
                 ("attributes", _Attributes)]  # fmt: skip
 
 
-def kernel_key(text: str) -> str:
+def kernel_cache_key(text: str) -> str:
     """Return the cache key of a kernel, the hash of its PTX."""
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
@@ -116,7 +116,7 @@ def call_kernel(
 ) -> Any:
     """Launch a kernel that changes some of its operands in place, within a function that XLA compiles.
 
-    By the time of the call the kernel has to be added (`add_kernel`), or its translation has to be started
+    By the time of the call the kernel has to be added (`register_kernel`), or its translation has to be started
     (`start_ptx_translation`).
 
     Args:
@@ -187,7 +187,7 @@ def driver_version() -> int:
 
 def start_ptx_translation(text: str) -> str:
     """Start to translate PTX to machine code in a thread, and return the key of the kernel."""
-    if (name := kernel_key(text)) not in _machine_code:
+    if (name := kernel_cache_key(text)) not in _machine_code:
         _machine_code[name] = _pool.submit(_translate, text)
     return name
 
@@ -197,7 +197,7 @@ def wait_for_kernel(name: str) -> GpuKernel:
     return GpuKernel(name, _machine_code[name].result())
 
 
-def add_kernel(kernel: GpuKernel) -> None:
+def register_kernel(kernel: GpuKernel) -> None:
     """Register a kernel that was loaded from the cache, so that programs can call it."""
     _machine_code[kernel.key] = done = Future()
     done.set_result(kernel.code)

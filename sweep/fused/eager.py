@@ -18,7 +18,7 @@ from sweep.fused.arrays import UnsupportedPrimitive
 from sweep.fused.batch_ops import BatchArray
 from sweep.fused.eager_rules import FUNCTIONS, RULES
 from sweep.fused.interpret import CALL_PRIMITIVES
-from sweep.fused.jaxprs import inner_jaxpr, split_scan_operands
+from sweep.fused.jaxprs import open_jaxpr, split_scan_operands
 from sweep.fused.randomness import is_key, keys_to_words, rewrap_if_key
 
 IDENTITY_PRIMITIVES = frozenset(("stop_gradient", "copy", "optimization_barrier", "random_wrap", "random_unwrap"))
@@ -98,7 +98,7 @@ class NumpyProgram(NamedTuple):
         return jax.tree.unflatten(tree, [rewrap_if_key(x, form) for x, form in zip(rows, forms, strict=True)])
 
 
-def trace(function: Callable[..., Any], *shapes: Any, external: Collection[str] = ()) -> NumpyProgram:
+def trace_numpy_program(function: Callable[..., Any], *shapes: Any, external: Collection[str] = ()) -> NumpyProgram:
     """Trace a function of one rollout so that NumPy can execute it for batches.
 
     Args:
@@ -120,12 +120,14 @@ def trace(function: Callable[..., Any], *shapes: Any, external: Collection[str] 
     with np.errstate(all="ignore"):
         inputs = tuple(writer.new_value() for _ in leaf_shapes)
         results = writer.write_jaxpr(program.jaxpr, program.consts, inputs)
-    steps = writer.select_operations(inputs, results)
+    steps = writer.pruned_operation_list(inputs, results)
     asked = {step.rule: writer.asked[step.rule] for step in steps.operations if isinstance(step.rule, str)}
     return NumpyProgram(steps, leaf_shapes, results_shape, asked)
 
 
-def evaluate_constants(function: Callable[[], Any], external: Mapping[str, Callable[..., Any]] | None = None) -> Any:
+def evaluate_constant_function(
+    function: Callable[[], Any], external: Mapping[str, Callable[..., Any]] | None = None
+) -> Any:
     """Evaluate a function of constants with NumPy, even during a JAX trace; XLA does it if a primitive has no rule.
 
     Args:
@@ -133,7 +135,7 @@ def evaluate_constants(function: Callable[[], Any], external: Mapping[str, Calla
         external: functions that replace calls of jitted functions of these names.
     """
     try:
-        program = trace(function, external=external or {})
+        program = trace_numpy_program(function, external=external or {})
     except UnsupportedPrimitive:
         with jax.ensure_compile_time_eval():
             made = jax.jit(function, compiler_options={"xla_backend_optimization_level": 0})()
@@ -191,7 +193,7 @@ class OperationListWriter:
             at |= zip(eqn.outvars, self._apply(eqn, [read(atom) for atom in eqn.invars]), strict=True)
         return [read(atom) for atom in jaxpr.outvars]
 
-    def select_operations(self, inputs: tuple[int, ...], outputs: Sequence[int]) -> OperationList:
+    def pruned_operation_list(self, inputs: tuple[int, ...], outputs: Sequence[int]) -> OperationList:
         """Return the program that computes the values `outputs` from `inputs`, without needless operations."""
         wanted, kept = set(outputs), []
         for rule, reads, writes in reversed(self._steps):
@@ -225,7 +227,7 @@ class OperationListWriter:
             if params.get("name") in self.apart:
                 return self._call_external(params["name"], args, eqn)
             inner = params[CALL_PRIMITIVES[name]]
-            return self.write_jaxpr(inner_jaxpr(inner), getattr(inner, "consts", ()), args)
+            return self.write_jaxpr(open_jaxpr(inner), getattr(inner, "consts", ()), args)
         if not eqn.outvars:
             return []
         if name in IDENTITY_PRIMITIVES:
@@ -299,7 +301,7 @@ class OperationListWriter:
         others = [writer.new_value() for _ in closed.jaxpr.invars[len(first) :]]
         made = writer.write_jaxpr(closed.jaxpr, closed.consts, [*there, *others])
         given = [new for new, k in zip(there, first, strict=True) if k not in self.known]
-        return writer.select_operations((*given, *others), made), [k for k in first if k not in self.known]
+        return writer.pruned_operation_list((*given, *others), made), [k for k in first if k not in self.known]
 
 
 class ScanParameters(NamedTuple):
@@ -356,7 +358,7 @@ def run_switch(branches: Sequence[OperationList], index: Any, *args: BatchArray)
     if len(index) == 1:
         return branches[min(max(int(index[0]), 0), len(branches) - 1)].execute(args, {})
     each = [branch.execute(args, {}) for branch in branches]
-    return [batch_ops.select(index, *cases) for cases in zip(*each, strict=True)]
+    return [batch_ops.select_n(index, *cases) for cases in zip(*each, strict=True)]
 
 
 def _batch_axis_last(x: Any, rank: int) -> BatchArray:

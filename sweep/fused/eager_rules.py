@@ -9,7 +9,7 @@ import numpy as np
 
 from sweep.fused import batch_ops as ops
 from sweep.fused.arrays import EMPTY_REDUCTIONS, UnsupportedPrimitive
-from sweep.fused.batch_ops import DotDimensions, TriangularSystem, WindowIndexing
+from sweep.fused.batch_ops import DotDimensions, TriangularSolveParameters, WindowIndexing
 from sweep.fused.operations import COMPARISONS, REDUCTIONS
 from sweep.fused.rules import out_of_bounds_value
 
@@ -28,8 +28,8 @@ UFUNCS: dict[str, np.ufunc] = {
 
 CUMULATIVE = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
 FUNCTIONS: dict[str, Callable[..., Any]] = {
-    **UFUNCS, "rsqrt": ops.reciprocal_root, "logistic": ops.logistic, "one_minus_square": ops.one_minus_square,
-    "clamp": ops.clamp, "cholesky": ops.cholesky, "polynomial": ops.polynomial, "select_n": ops.select,
+    **UFUNCS, "rsqrt": ops.rsqrt, "logistic": ops.logistic, "one_minus_square": ops.one_minus_square,
+    "clamp": ops.clamp, "cholesky": ops.cholesky, "polynomial": ops.polynomial, "select_n": ops.select_n,
     "erf_inv": ops.erf_inv,
 }  # fmt: skip
 
@@ -40,7 +40,7 @@ def _shape(atom: Any) -> tuple[int, ...]:
 
 def _div(eqn: Any) -> Callable:
     whole = np.issubdtype(eqn.outvars[0].aval.dtype, np.integer)
-    return ops.quotient if whole else np.divide
+    return ops.integer_quotient if whole else np.divide
 
 
 def _round(eqn: Any) -> Callable:
@@ -94,7 +94,7 @@ def _reduction(eqn: Any) -> Callable:
     name, axes = REDUCTIONS[eqn.primitive.name], tuple(eqn.params["axes"])
     if not all(_shape(eqn.invars[0])):
         return partial(ops.fill_empty_reduction, _shape(eqn.outvars[0]), EMPTY_REDUCTIONS[name])
-    return partial(ops.sum_terms if name in ("add", "mul") else ops.reduce_extreme, UFUNCS[name], axes)
+    return partial(ops.reduce_in_order if name in ("add", "mul") else ops.reduce_extreme, UFUNCS[name], axes)
 
 
 def _argmax(argfunc: Callable) -> Callable:
@@ -167,7 +167,7 @@ def _triangular_solve(eqn: Any) -> Callable:
     left, lower, transposed, unit = (
         bool(eqn.params[name]) for name in ("left_side", "lower", "transpose_a", "unit_diagonal")
     )
-    return partial(ops.solve_triangular, TriangularSystem(left, lower, transposed, unit))
+    return partial(ops.solve_triangular, TriangularSolveParameters(left, lower, transposed, unit))
 
 
 def _platform_index(eqn: Any) -> Callable:
@@ -180,9 +180,9 @@ RULES: dict[str, Callable[[Any], Callable[..., Any]]] = {
     "div": _div,
     "round": _round,
     "shift_right_logical": _shift_right_logical,
-    "convert_element_type": lambda eqn: partial(ops.convert, eqn.outvars[0].aval.dtype),
+    "convert_element_type": lambda eqn: partial(ops.convert_dtype, eqn.outvars[0].aval.dtype),
     "bitcast_convert_type": lambda eqn: partial(ops.reinterpret_bits, eqn.outvars[0].aval.dtype),
-    "integer_pow": lambda eqn: partial(ops.power, eqn.params["y"]),
+    "integer_pow": lambda eqn: partial(ops.integer_power, eqn.params["y"]),
     "broadcast_in_dim": _broadcast_in_dim,
     **dict.fromkeys(("reshape", "squeeze", "expand_dims"), _reshape),
     "tile": lambda eqn: partial(ops.tile, tuple(eqn.params["reps"])),

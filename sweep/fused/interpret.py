@@ -14,9 +14,9 @@ from jax.extend import core
 
 from sweep.fused import maths
 from sweep.fused.arrays import Array, ArrayBuilder, RowUpdate, UnsupportedPrimitive, build_array, stack
-from sweep.fused.jaxprs import inner_jaxpr, inner_jaxprs, split_scan_operands
+from sweep.fused.jaxprs import inner_jaxprs, open_jaxpr, split_scan_operands
 from sweep.fused.operations import REDUCTIONS
-from sweep.fused.program import Address, Branch, LoopCount, MemoryRegion, Node, constant_value, is_uniform
+from sweep.fused.program import Branch, LoopCount, MemoryAddress, MemoryRegion, Node, constant_value, is_uniform
 from sweep.fused.rules import MULTI_RESULT_RULES, RULES
 
 CALL_PRIMITIVES = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr",
@@ -29,10 +29,12 @@ RENAMED_PRIMITIVES = {"stop_gradient": None, "copy": None, "optimization_barrier
 MAX_UNROLLED_OPERATIONS = 1000  # operations up to which a loop is unrolled
 
 
-class Interpreter(ArrayBuilder):
+class JaxprInterpreter(ArrayBuilder):
     """Interprets a jaxpr by the rules for its primitives and writes a `Program`."""
 
-    def evaluate(self, jaxpr: Any, consts: Sequence[Any], args: Sequence[Array | RowUpdate]) -> list[Array | RowUpdate]:
+    def evaluate_jaxpr(
+        self, jaxpr: Any, consts: Sequence[Any], args: Sequence[Array | RowUpdate]
+    ) -> list[Array | RowUpdate]:
         """Add the operations of a jaxpr to the program.
 
         Args:
@@ -54,21 +56,21 @@ class Interpreter(ArrayBuilder):
         known |= zip(jaxpr.constvars, (self.constant(x) for x in consts), strict=True)
         known |= zip(jaxpr.invars, args, strict=True)
         for eqn in jaxpr.eqns:
-            known |= zip(eqn.outvars, self.apply(eqn, [read(atom) for atom in eqn.invars]), strict=True)
+            known |= zip(eqn.outvars, self.apply_equation(eqn, [read(atom) for atom in eqn.invars]), strict=True)
         return [read(atom) for atom in jaxpr.outvars]
 
-    def apply(self, eqn: Any, args: list[Array | RowUpdate]) -> list[Array | RowUpdate]:
+    def apply_equation(self, eqn: Any, args: list[Array | RowUpdate]) -> list[Array | RowUpdate]:
         """Add one jaxpr equation, applied to `args`, to the program."""
         name, params = eqn.primitive.name, eqn.params
         if name in CALL_PRIMITIVES:
             inner = params[CALL_PRIMITIVES[name]]
-            return self.evaluate(inner_jaxpr(inner), getattr(inner, "consts", ()), args)
+            return self.evaluate_jaxpr(open_jaxpr(inner), getattr(inner, "consts", ()), args)
         if not eqn.outvars:
             return []
         out = eqn.outvars[0].aval
         if name in RENAMED_PRIMITIVES and RENAMED_PRIMITIVES[name] is None:
             return args
-        args = [self.resolve_update(x) for x in args]
+        args = [self.apply_row_update(x) for x in args]
         if name in ("scan", "cond", "while"):
             return getattr(self, f"_{name}")(args, eqn)
         if rule := MULTI_RESULT_RULES.get(name):
@@ -81,12 +83,12 @@ class Interpreter(ArrayBuilder):
             return [rule(self, *args, out=out, **params)]
         single = all(v.aval.dtype == np.float32 for v in eqn.invars)
         if expansion := maths.EXPANSIONS.get(name) or (single and maths.SINGLE_PRECISION_EXPANSIONS.get(name)):
-            return [self.trace_expansion(expansion, args, [v.aval.dtype for v in eqn.invars])]
+            return [self.expand_primitive_by_tracing(expansion, args, [v.aval.dtype for v in eqn.invars])]
         if name in maths.SINGLE_PRECISION_EXPANSIONS:
             return [self.map_elements(name, args, out.dtype.name)]
         raise UnsupportedPrimitive(name)
 
-    def trace_expansion(self, function: Callable, args: Sequence[Array], dtypes: Sequence[Any]) -> Array:
+    def expand_primitive_by_tracing(self, function: Callable, args: Sequence[Array], dtypes: Sequence[Any]) -> Array:
         """Add an operation to the program by tracing `function`, which writes it in other JAX primitives.
 
         Args:
@@ -96,7 +98,7 @@ class Interpreter(ArrayBuilder):
         """
         shapes = [jax.ShapeDtypeStruct(x.shape, dtype) for x, dtype in zip(args, dtypes, strict=True)]
         traced = jax.make_jaxpr(function)(*shapes)
-        return self.resolve_update(self.evaluate(traced.jaxpr, traced.consts, args)[0])
+        return self.apply_row_update(self.evaluate_jaxpr(traced.jaxpr, traced.consts, args)[0])
 
     def _scan(self, args: list[Array], eqn: Any) -> list[Array]:
         """A loop; a short one is unrolled."""
@@ -112,22 +114,22 @@ class Interpreter(ArrayBuilder):
             steps = range(length)
             ys = []
             for k in reversed(steps) if eqn.params["reverse"] else steps:
-                results = self.evaluate(inner, closed.consts, [*consts, *carry, *(x[k, ...] for x in xs)])
+                results = self.evaluate_jaxpr(inner, closed.consts, [*consts, *carry, *(x[k, ...] for x in xs)])
                 carry = results[:n_carry]
-                ys.append([self.resolve_update(y) for y in results[n_carry:]])
+                ys.append([self.apply_row_update(y) for y in results[n_carry:]])
             ys = ys[::-1] if eqn.params["reverse"] else ys
             return [*carry, *(stack(each) for each in zip(*ys, strict=True))]
         outside = len(self.program.blocks) - 1
         regions = [self._saved(x, outside + 1) for x in carry]
         tables = [self._saved(x, outside + 1) for x in xs]
-        with self.program.loop(length) as loop:
+        with self.program.open_loop(length) as loop:
             body = loop.body
-            count = self.program.node("count", (), "int32", LoopCount(body.depth))
+            count = self.program.get_or_add_node("count", (), "int32", LoopCount(body.depth))
             state = [self.load_array(r, x.shape, body.depth) for r, x in zip(regions, carry, strict=True)]
             here = [self._looked_up(r, x.shape[1:], count) for r, x in zip(tables, xs, strict=True)]
-            results = self.evaluate(inner, closed.consts, [*consts, *state, *here])
+            results = self.evaluate_jaxpr(inner, closed.consts, [*consts, *state, *here])
             for region, result in zip(regions, results, strict=True):
-                self.save(region, result, body.stores)
+                self.store_array(region, result, body.stores)
         return [self.load_array(r, x.shape, outside) for r, x in zip(regions, carry, strict=True)]
 
     def _while(self, args: list[Array], eqn: Any) -> list[Array]:
@@ -145,17 +147,17 @@ class Interpreter(ArrayBuilder):
         outside = len(self.program.blocks) - 1
         carry = [np.full((), goes_on(carry), object), *carry]
         regions = [self._saved(x, outside + 1) for x in carry]
-        with self.program.loop(None) as loop:
+        with self.program.open_loop(None) as loop:
             flag, *state = (self.load_array(r, x.shape, loop.body.depth) for r, x in zip(regions, carry, strict=True))
             new = self._select(flag[()], state, self._results(params["body_jaxpr"], [*body, *state]))
             more = self.emit("and", "bool", flag[()], goes_on(new))
             for region, result in zip(regions, [np.full((), more, object), *new], strict=True):
-                self.save(region, result, loop.body.stores)
-            loop.continue_flag = self.program.node("any_rollout", (more,), "bool")
+                self.store_array(region, result, loop.body.stores)
+            loop.continue_flag = self.program.get_or_add_node("any_rollout", (more,), "bool")
         return [self.load_array(r, x.shape, outside) for r, x in zip(regions[1:], carry[1:], strict=True)]
 
     def _results(self, closed: Any, args: list[Array]) -> list[Array]:
-        return [self.resolve_update(x) for x in self.evaluate(closed.jaxpr, closed.consts, args)]
+        return [self.apply_row_update(x) for x in self.evaluate_jaxpr(closed.jaxpr, closed.consts, args)]
 
     def _select(self, flag: Node, old: list[Array], new: list[Array]) -> list[Array]:
         """The new values where the flag is set."""
@@ -166,17 +168,19 @@ class Interpreter(ArrayBuilder):
         if not x.size:
             return None
         region = MemoryRegion(x.size, x.flat[0].dtype, depth)
-        self.save(region, x, self.program.blocks[-1].items)
+        self.store_array(region, x, self.program.blocks[-1].items)
         return region
 
     def _looked_up(self, region: Any, shape: tuple, count: Node) -> Array:
         size = math.prod(shape)
-        place = self.emit("mul", "int32", count, self.program.const(size, "int32"))
+        place = self.emit("mul", "int32", count, self.program.constant_node(size, "int32"))
         at = np.arange(size).reshape(shape)
         return build_array(shape, lambda i: self._gathered(region, int(at[i]), place))
 
     def _gathered(self, region: MemoryRegion, index: int, place: Node) -> Node:
-        return self.program.node("gather", (place,), region.dtype, Address(region, index, region.depth, 0), leg=False)
+        return self.program.get_or_add_node(
+            "gather", (place,), region.dtype, MemoryAddress(region, index, region.depth, 0), leg=False
+        )
 
     def _cond(self, args: list[Array], eqn: Any) -> list[Array]:
         """One branch if all rollouts agree, else all branches, of which each rollout takes one."""
@@ -184,10 +188,12 @@ class Interpreter(ArrayBuilder):
         which = index[()]
         if which.op == "const":
             branch = branches[int(constant_value(which))]
-            return self.evaluate(branch.jaxpr, branch.consts, operands)
+            return self.evaluate_jaxpr(branch.jaxpr, branch.consts, operands)
         shapes = [v.aval for v in eqn.outvars]
         if is_uniform(which):
-            return self._branch(which, [partial(self.evaluate, b.jaxpr, b.consts, operands) for b in branches], shapes)
+            return self._branch(
+                which, [partial(self.evaluate_jaxpr, b.jaxpr, b.consts, operands) for b in branches], shapes
+            )
         idle = next((k for k, b in enumerate(branches) if not b.jaxpr.eqns), None)
         if len(branches) == 2 and idle is not None:
             return self._skip(which, branches, operands, idle, shapes)
@@ -198,13 +204,13 @@ class Interpreter(ArrayBuilder):
         self, which: Node, branches: Sequence[Any], operands: list[Array], idle: int, shapes: list[Any]
     ) -> list[Array]:
         """A choice between computing something and nothing, skipped where no rollout of the warp or vector computes."""
-        busy = self.emit("ne", "bool", which, self.program.const(idle, which.dtype))
+        busy = self.emit("ne", "bool", which, self.program.constant_node(idle, which.dtype))
         unchanged = partial(self._results, branches[idle], operands)
 
         def compute() -> list[Array]:
             return self._select(busy, unchanged(), self._results(branches[1 - idle], operands))
 
-        anyone = self.program.node("any_rollout", (busy,), "bool")
+        anyone = self.program.get_or_add_node("any_rollout", (busy,), "bool")
         return self._branch(anyone, [unchanged, compute], shapes, hoists=True)
 
     def _branch(
@@ -215,11 +221,11 @@ class Interpreter(ArrayBuilder):
         regions = [MemoryRegion(math.prod(s.shape), s.dtype.name, depth) for s in shapes]
         blocks = []
         for alternative in alternatives:
-            with self.program.branch(hoists) as block:
+            with self.program.open_branch(hoists) as block:
                 for region, result in zip(regions, alternative(), strict=True):
-                    self.save(region, result, block.stores)
+                    self.store_array(region, result, block.stores)
             blocks.append(block)
-        self.program.add(Branch(which, blocks))
+        self.program.append_item(Branch(which, blocks))
         return [self.load_array(r, s.shape, depth) for r, s in zip(regions, shapes, strict=True)]
 
 

@@ -19,7 +19,7 @@ def split_scan_operands[T](eqn: Any, operands: Sequence[T]) -> ScanOperands[T]:
         eqn: The traced scan.
         operands: Something for each of its operands, or of the inputs of its body, which have the same order.
     """
-    body = inner_jaxpr(eqn.params["jaxpr"])
+    body = open_jaxpr(eqn.params["jaxpr"])
     rows = sum(x.aval.ndim != y.aval.ndim for x, y in zip(eqn.invars, body.invars, strict=True))
     carried = count_carry_results(eqn)
     consts = len(eqn.invars) - carried - rows
@@ -28,12 +28,12 @@ def split_scan_operands[T](eqn: Any, operands: Sequence[T]) -> ScanOperands[T]:
 
 def count_carry_results(eqn: Any) -> int:
     """Return how many results of a scan are carried; the others are stacked, and have one axis less in its body."""
-    body = inner_jaxpr(eqn.params["jaxpr"])
+    body = open_jaxpr(eqn.params["jaxpr"])
     stacked = sum(x.aval.ndim != y.aval.ndim for x, y in zip(eqn.outvars, body.outvars, strict=True))
     return len(eqn.outvars) - stacked
 
 
-def inner_jaxpr(program: Any) -> Any:
+def open_jaxpr(program: Any) -> Any:
     """Return the jaxpr of a closed jaxpr, without the values of its constants."""
     return getattr(program, "jaxpr", program)
 
@@ -41,4 +41,4 @@ def inner_jaxpr(program: Any) -> Any:
 def inner_jaxprs(eqn: Any) -> list[Any]:
     """Return all jaxprs among the parameters of an operation: of a call, a loop, or branches."""
     programs = [*eqn.params.values(), *eqn.params.get("branches", ())]
-    return [inner_jaxpr(one) for one in programs if hasattr(one, "eqns") or hasattr(one, "jaxpr")]
+    return [open_jaxpr(one) for one in programs if hasattr(one, "eqns") or hasattr(one, "jaxpr")]

@@ -35,7 +35,7 @@ TickFunction = Callable[
 ]  # tick of one rollout: (inputs, carry, number) -> (carry, record)
 
 
-def choose_lanes(width: int, cores: int) -> int:
+def choose_lane_count(width: int, cores: int) -> int:
     """Return how many rollouts a vector of the kernel holds: fewer for small batches. Results do not depend on it.
 
     Args:
@@ -45,9 +45,9 @@ def choose_lanes(width: int, cores: int) -> int:
     return llvm.NARROW_TILE_LANES if width <= llvm.NARROW_TILE_LANES * cores else llvm.TILE_LANES
 
 
-def print_program(
+def print_llvm_program(
     function: TickFunction, inputs: Any, carry: Any, group: int = LEG_COUNT, lanes: int = llvm.TILE_LANES
-) -> tuple[TracedProgram, llvm.CpuPrinter]:
+) -> tuple[TracedProgram, llvm.CpuKernelPrinter]:
     """Trace the function of one control tick and print it as LLVM assembly for a CPU.
 
     Args:
@@ -62,7 +62,7 @@ def print_program(
     """
     program = trace_program(function, inputs, carry, partial(_lay_out, lanes), share_memory=True, group=group)
     order = schedule.schedule_block(program.top_block, schedule.used_node_numbers(program.top_block))
-    return program, llvm.CpuPrinter(order, schedule.assign_scratch_slots(order), group, lanes)
+    return program, llvm.CpuKernelPrinter(order, schedule.assign_scratch_slots(order), group, lanes)
 
 
 def compile_function(
@@ -92,12 +92,12 @@ def start_compilation(
         group: how many numbers one operation may give at once, such as the six legs; see `program`.
         lanes: rollouts of a tile.
     """
-    program, text = print_program(function, inputs, carry, group, lanes)
+    program, text = print_llvm_program(function, inputs, carry, group, lanes)
     form = jax.tree.map(is_key, carry)
 
     def rest() -> KernelCode:
         target = llvm.target_machine()
-        machine = llvm.compile_text(text.module_text(target.triple), target)
+        machine = llvm.compile_llvm_assembly(text.module_text(target.triple), target)
         return KernelCode(
             machine, program.input_leaves, program.carry_leaves, program.record_leaves, text.scratch, form, lanes
         )
@@ -107,7 +107,7 @@ def start_compilation(
 
 def _size(leaf: ArrayLayout, lanes: int) -> int:
     """Bytes of a leaf in all lanes."""
-    return leaf.size * llvm.row_bytes(leaf.dtype, lanes)
+    return leaf.size * llvm.lane_vector_bytes(leaf.dtype, lanes)
 
 
 def _lay_out(lanes: int, shapes: Sequence[Any], start: int) -> tuple[list[ArrayLayout], int]:
@@ -127,7 +127,7 @@ class Kernel:
         self._kept, address = llvm.load_machine_code(code.machine_code, llvm.target_machine())
         self.run = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 3, *[ctypes.c_int64] * 3)(address)
 
-    def load_batch(self, inputs: Any, carry: Any, width: int) -> "Tiles":
+    def load_batch(self, inputs: Any, carry: Any, width: int) -> "KernelBatch":
         """Write inputs and start state of a batch to memory in the kernel's layout, and return that memory.
 
         Args:
@@ -135,13 +135,13 @@ class Kernel:
             carry: tree of the carry, likewise.
             width: number of rollouts.
         """
-        tiles = Tiles(self, width)
-        tiles.write(self.code.input_leaves, inputs)
-        tiles.write(self.code.carry_leaves, carry)
+        tiles = KernelBatch(self, width)
+        tiles.write_arrays(self.code.input_leaves, inputs)
+        tiles.write_arrays(self.code.carry_leaves, carry)
         return tiles
 
 
-class Tiles:
+class KernelBatch:
     """A batch in a CPU kernel's memory, with methods that read, replace and advance the rollouts' state."""
 
     def __init__(self, kernel: Kernel, width: int):
@@ -153,7 +153,7 @@ class Tiles:
         rooms = range(min(count_cores(), len(self.memory)))
         self._scratch = [_allocate_aligned(1, self.code.scratch_bytes) for _ in rooms]
 
-    def write(self, leaves: Sequence[ArrayLayout], tree: Any) -> None:
+    def write_arrays(self, leaves: Sequence[ArrayLayout], tree: Any) -> None:
         """Write arrays of a batch, or values shared by all rollouts, to the given places of the kernel's memory."""
         lanes = self.code.lanes
         for leaf, given in zip(leaves, jax.tree.leaves(keys_to_words(tree)), strict=True):
@@ -167,11 +167,11 @@ class Tiles:
             if rest:
                 whole[full, :, :rest], whole[full, :, rest:] = rows[-rest:].T, rows[-1][:, None]
 
-    def replace(self, select: Callable[[Any], Any], tree: Any) -> None:
+    def replace_state_values(self, select: Callable[[Any], Any], tree: Any) -> None:
         """Overwrite part of the rollouts' state: the arrays that `select` picks from it become those of `tree`."""
-        self.write([self.code.carry_leaves[place] for place in jax.tree.leaves(select(self._places))], tree)
+        self.write_arrays([self.code.carry_leaves[place] for place in jax.tree.leaves(select(self._places))], tree)
 
-    def advance(self, first: int, ticks: int, slots: np.ndarray | None = None) -> dict[str, np.ndarray] | None:
+    def advance_ticks(self, first: int, ticks: int, slots: np.ndarray | None = None) -> dict[str, np.ndarray] | None:
         """Run control ticks on all rollouts of the batch; record the columns of the rollouts `slots`.
 
         Args:
@@ -204,12 +204,12 @@ class Tiles:
         rows = {name: {tile: _unpack(told[tile], leaf, lanes) for tile in wanted} for name, leaf in recorded.items()}
         return {name: np.stack([of[k // lanes][:, k % lanes] for k in slots], axis=1) for name, of in rows.items()}
 
-    def read_all(self) -> Any:
+    def read_full_state(self) -> Any:
         """Return the state of all rollouts after the last tick, an array (width, ...) for each leaf."""
-        rows = self.read(lambda carry: carry)
+        rows = self.read_state_values(lambda carry: carry)
         return jax.tree.map(lambda x, key: jax.random.wrap_key_data(x) if key else x, rows, self.code.random_key_tree)
 
-    def read(self, select: Callable[[Any], Any]) -> Any:
+    def read_state_values(self, select: Callable[[Any], Any]) -> Any:
         """Return the arrays (width, ...) that `select` picks from the state of the rollouts."""
 
         def rows(place: int) -> np.ndarray:

@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from sweep.fused.program import (
-    Address,
     Block,
     Branch,
     ConstantBits,
@@ -14,10 +13,11 @@ from sweep.fused.program import (
     LegIndex,
     LegReduction,
     Loop,
+    MemoryAddress,
     MemoryRegion,
     Node,
     Store,
-    StoredNode,
+    StoredNodeReference,
     walk_block,
 )
 
@@ -26,10 +26,10 @@ RECOMPUTED_OPERATIONS = frozenset(
 )  # operations that are repeated wherever their value is needed
 MAX_OPERATION_COUNT = 1 << 30  # cap on the count of a value's operations, which counts shared operands for each use
 MemoryPlace = tuple[MemoryRegion, int]  # place of a number in memory, or of the six of the legs
-LegRows = dict[MemoryPlace, tuple[int, int, int]]  # see `find_leg_rows`
+LegRows = dict[MemoryPlace, tuple[int, int, int]]  # see `find_per_leg_memory_rows`
 
 
-class KernelPart(NamedTuple):
+class KernelSection(NamedTuple):
     """A section of a GPU kernel: operations in order, then stores to memory."""
 
     items: list[Any]
@@ -37,7 +37,7 @@ class KernelPart(NamedTuple):
     legs_in_lanes: bool  # whether lanes of a warp have the legs; else each thread has a rollout with all legs
 
 
-def items_depth_first(block: Block, needed: set[int]) -> Iterator[Any]:
+def block_items_depth_first(block: Block, needed: set[int]) -> Iterator[Any]:
     """Yield the items of a block so that each value is computed shortly before its use, and few are alive at a time."""
     straight: dict[int, Node] = {}
     for item in [*block.items, None]:
@@ -72,7 +72,7 @@ def _order_nodes(nodes: dict[int, Node]) -> Iterator[Node]:
             yield pending.pop()
 
 
-def find_leg_rows(top: Block, needed: set[int], group: int) -> tuple[LegRows, list[MemoryRegion]]:
+def find_per_leg_memory_rows(top: Block, needed: set[int], group: int) -> tuple[LegRows, list[MemoryRegion]]:
     """Find values in a kernel's temporary memory that are always read and written together for all six legs.
 
     Args:
@@ -91,15 +91,15 @@ def find_leg_rows(top: Block, needed: set[int], group: int) -> tuple[LegRows, li
         if isinstance(x, Store) and x.value.leg:
             uses.append((x.region, x.index, x.leg_stride))
         elif isinstance(x, Node) and x.number in needed and x.op == "load" and x.leg:
-            region, index, _, step = x.typed_extra(Address)
+            region, index, _, step = x.extra_data_of_type(MemoryAddress)
             uses.append((region, index, step))
         elif (
             isinstance(x, Node)
             and x.number in needed
             and x.op == "gather"
-            and x.typed_extra(Address).region.byte_offset < 0
+            and x.extra_data_of_type(MemoryAddress).region.byte_offset < 0
         ):
-            memory[x.typed_extra(Address).region] = None
+            memory[x.extra_data_of_type(MemoryAddress).region] = None
         if isinstance(x, Store) and x.row_index and x.region.byte_offset < 0:
             memory[x.region] = None
     for region, index, step in uses:
@@ -110,9 +110,9 @@ def find_leg_rows(top: Block, needed: set[int], group: int) -> tuple[LegRows, li
     return {place: row for place, row in rows.items() if place[0] not in memory}, list(memory)
 
 
-def split_into_parts(
+def split_into_kernel_sections(
     block: Block, needed: set[int], last: MemoryRegion | None, group: int, small_batch: bool, rows: LegRows
-) -> list[KernelPart]:
+) -> list[KernelSection]:
     """Split the body of a GPU kernel into sections: its loops, and the code between them.
 
     A loop has the legs in lanes of a warp. What lies between loops has a thread for each rollout, unless `small_batch`.
@@ -124,7 +124,7 @@ def split_into_parts(
         last: region that is stored at the end.
         group: number of legs.
         small_batch: whether all parts have the legs in lanes.
-        rows: see `find_leg_rows`.
+        rows: see `find_per_leg_memory_rows`.
     """
     made = [part._replace(legs_in_lanes=small_batch or part.legs_in_lanes) for part in _cut_at_loops(block, needed)]
     home: dict[int | MemoryRegion, int] = {}
@@ -135,7 +135,7 @@ def split_into_parts(
         }
     asked: dict[Any, int] = {}  # last part that reads a place, or that indexes a region
     for k, part in enumerate(made):
-        for node in operands_of_part(part, needed):
+        for node in section_operands(part, needed):
             asked |= dict.fromkeys(_places(node, group), k)
     stores = _merge_leg_stores(block.stores, rows, group)
     late = [store for store in stores if store.region is last or _is_outer_load(store.value)]
@@ -148,7 +148,7 @@ def split_into_parts(
         if store.row_index:  # it may write any row of the region
             places += [place for place in asked if isinstance(place, tuple) and place[0] is store.region]
         free = max(asked.get(place, 0) for place in (*places, store.region))
-        of = store.value.typed_extra(Address).region if store.value.op == "load" else store.value.number
+        of = store.value.extra_data_of_type(MemoryAddress).region if store.value.op == "load" else store.value.number
         k = len(made) - 1 if store in late else max(free, home.get(of, 0))
         made[k].stores.append(store)
     return [part for part in made if part.items or part.stores]
@@ -159,7 +159,7 @@ def _merge_leg_stores(stores: Sequence[Store], rows: LegRows, group: int) -> lis
     found: dict[tuple[MemoryRegion, MemoryPlace], list[Store | None]] = {}
     for store in stores:
         if store.value.op == "load" and not store.value.leg and not store.row_index:
-            region, index, _, _ = store.value.typed_extra(Address)
+            region, index, _, _ = store.value.extra_data_of_type(MemoryAddress)
             if row := rows.get((region, index)):
                 found.setdefault((store.region, (region, row[0])), [None] * group)[row[2]] = store
     made, done = [], set()
@@ -168,26 +168,26 @@ def _merge_leg_stores(stores: Sequence[Store], rows: LegRows, group: int) -> lis
         step = whole[1].index - whole[0].index if len(whole) == group else 0
         if step > 0 and [store.index - whole[0].index for store in whole] == [k * step for k in range(group)]:
             like = whole[0].value
-            at = Address(region, first, like.typed_extra(Address).depth, rows[region, first][1])
+            at = MemoryAddress(region, first, like.extra_data_of_type(MemoryAddress).depth, rows[region, first][1])
             value = Node("load", (), at, like.dtype, True, (like.number, "legs"), like.block)
             made.append(replace(whole[0], value=value, leg_stride=step))
             done |= {id(store) for store in whole}
     return [store for store in stores if id(store) not in done] + made
 
 
-def _cut_at_loops(block: Block, needed: set[int]) -> list[KernelPart]:
-    made, begun = [KernelPart([], [], False)], []
-    for item in items_depth_first(Block(block.depth, _around_branches(block, needed)), needed):
+def _cut_at_loops(block: Block, needed: set[int]) -> list[KernelSection]:
+    made, begun = [KernelSection([], [], False)], []
+    for item in block_items_depth_first(Block(block.depth, _around_branches(block, needed)), needed):
         if isinstance(item, Store):  # the start of a loop's carry; operations may lie between it and the loop
             begun.append(item)
         elif isinstance(item, Loop):
-            made += [KernelPart([*begun, item], [], True), KernelPart([], [], False)]
+            made += [KernelSection([*begun, item], [], True), KernelSection([], [], False)]
             begun = []
         elif isinstance(item, Branch) and _is_for_legs(item, needed):
             if not made[-1].items and len(made) > 1 and isinstance(made[-2].items[-1], Branch):
                 made[-2].items.append(item)
             else:
-                made += [KernelPart([item], [], True), KernelPart([], [], False)]
+                made += [KernelSection([item], [], True), KernelSection([], [], False)]
         else:
             made[-1].items.append(item)
     return made
@@ -208,7 +208,7 @@ def _around_branches(block: Block, needed: set[int]) -> list[Any]:
     for item in tail:
         operands = _operands(item, needed) or [item]
         if item in branches or any(
-            x in late or (x.op == "load" and x.typed_extra(Address).region in late) for x in operands
+            x in late or (x.op == "load" and x.extra_data_of_type(MemoryAddress).region in late) for x in operands
         ):
             late |= {item, *_written_regions(item)}
         elif isinstance(item, Node) and all(_is_input(x, block) or x in plain for x in operands):
@@ -246,7 +246,7 @@ def _is_input(node: Node, block: Block) -> bool:
 
 
 def _is_outer_load(node: Node) -> bool:
-    return node.op == "load" and node.typed_extra(Address).region.byte_offset >= 0
+    return node.op == "load" and node.extra_data_of_type(MemoryAddress).region.byte_offset >= 0
 
 
 def _with_operands(items: list[Any], tail: list[Any], needed: set[int], among: set[Any]) -> set[Any]:
@@ -255,7 +255,7 @@ def _with_operands(items: list[Any], tail: list[Any], needed: set[int], among: s
     for item in reversed(tail):
         if item in found or not found.isdisjoint(_written_regions(item)):
             operands = _operands(item, needed)
-            read = {x.typed_extra(Address).region for x in operands if x.op == "load"}
+            read = {x.extra_data_of_type(MemoryAddress).region for x in operands if x.op == "load"}
             found |= {item} | among.intersection(operands) | among.intersection(read)
     return found
 
@@ -276,7 +276,7 @@ def iterate_nested_items(item: Any) -> Iterator[Any]:
         yield from walk_block(block)
 
 
-def operands_of_part(part: KernelPart, needed: set[int]) -> Iterator[Node]:
+def section_operands(part: KernelSection, needed: set[int]) -> Iterator[Node]:
     """Yield the operands of all operations in a section of a GPU kernel, inner blocks included, branch indices not.
 
     Args:
@@ -294,16 +294,16 @@ def operands_of_part(part: KernelPart, needed: set[int]) -> Iterator[Node]:
 def _places(node: Node, group: int) -> list[Any]:
     if node.op not in ("load", "gather"):
         return []
-    region, index, _, step = node.typed_extra(Address)
+    region, index, _, step = node.extra_data_of_type(MemoryAddress)
     if node.op == "gather":
         return [region]
     return [(region, index + k * step) for k in (range(group) if node.leg else (0,))]
 
 
-class ThreadPart:
+class RolloutPerThreadSection:
     """A section of a GPU kernel in which each thread simulates a whole rollout, with one operation for each leg."""
 
-    def __init__(self, part: KernelPart, needed: set[int], group: int):
+    def __init__(self, part: KernelSection, needed: set[int], group: int):
         self.group = group
         self.made: dict[int, list[Node]] = {}
         self.items = [x for item in part.items for x in self._item(item, needed)]
@@ -337,18 +337,18 @@ class ThreadPart:
                 early.setdefault(max(k, made[store.value.number]), []).append(store)
         return early
 
-    def values_by_leg(self, node: Node) -> list[Node]:
+    def nodes_by_leg(self, node: Node) -> list[Node]:
         """Return the nodes that replace a node in this section: one for each leg, or a single node for all legs."""
         if node.number not in self.made:
             if not node.leg:
                 return [node]
             match node.op:
                 case "const":
-                    extras = [ConstantBits((bits,)) for bits in node.typed_extra(ConstantBits).value_bytes]
+                    extras = [ConstantBits((bits,)) for bits in node.extra_data_of_type(ConstantBits).value_bytes]
                 case "load":
-                    extras = node.typed_extra(Address).leg_addresses(self.group)
+                    extras = node.extra_data_of_type(MemoryAddress).leg_addresses(self.group)
                 case _:  # a node of another part
-                    extras = [StoredNode(node.number, k) for k in range(self.group)]
+                    extras = [StoredNodeReference(node.number, k) for k in range(self.group)]
             op = node.op if node.op in RECOMPUTED_OPERATIONS else "handed_on"
             self.made[node.number] = [self._node(node, op, (), extra, k) for k, extra in enumerate(extras)]
         return self.made[node.number]
@@ -362,19 +362,19 @@ class ThreadPart:
             return self._store(item)
         if isinstance(item, Loop):
             body = self._block(item.body, needed)
-            return [Loop(item.length, body, self.values_by_leg(item.continue_flag)[0] if item.continue_flag else None)]
+            return [Loop(item.length, body, self.nodes_by_leg(item.continue_flag)[0] if item.continue_flag else None)]
         if isinstance(item, Branch):
-            return [Branch(self.values_by_leg(item.index)[0], [self._block(block, needed) for block in item.blocks])]
-        args = [self.values_by_leg(x) for x in item.args]
+            return [Branch(self.nodes_by_leg(item.index)[0], [self._block(block, needed) for block in item.blocks])]
+        args = [self.nodes_by_leg(x) for x in item.args]
         match item.op:
             case "pack":
                 self.made[item.number] = [x[0] for x in args]
                 return []
             case "part":
-                self.made[item.number] = [args[0][item.typed_extra(LegIndex).leg]]
+                self.made[item.number] = [args[0][item.extra_data_of_type(LegIndex).leg]]
                 return []
             case "over_legs":  # opposite legs first, then the pairs in order
-                x, made, half, op = args[0], [], self.group // 2, item.typed_extra(LegReduction).op
+                x, made, half, op = args[0], [], self.group // 2, item.extra_data_of_type(LegReduction).op
                 for k in range(half):
                     made.append(self._node(item, op, (x[k], x[k + half]), None, k))
                 for k in range(1, half):
@@ -386,7 +386,7 @@ class ThreadPart:
                 pass
         legs = range(self.group) if item.leg else [0]
         extras = [item.extra] * self.group
-        if isinstance(item.extra, Address) and item.leg:
+        if isinstance(item.extra, MemoryAddress) and item.leg:
             extras = item.extra.leg_addresses(self.group)
         made = [self._node(item, item.op, [x[k % len(x)] for x in args], extras[k], k) for k in legs]
         self.made[item.number] = made
@@ -394,10 +394,10 @@ class ThreadPart:
 
     def _block(self, block: Block, needed: set[int]) -> Block:
         made = Block(block.depth)
-        made.items = [x for item in items_depth_first(block, needed) for x in self._item(item, needed)]
+        made.items = [x for item in block_items_depth_first(block, needed) for x in self._item(item, needed)]
         made.stores = [x for store in block.stores for x in self._store(store)]
         return made
 
     def _store(self, store: Store) -> list[Store]:
-        each = enumerate(self.values_by_leg(store.value))
+        each = enumerate(self.nodes_by_leg(store.value))
         return [replace(store, index=store.index + k * store.leg_stride, value=x, leg_stride=0) for k, x in each]

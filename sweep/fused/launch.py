@@ -64,7 +64,7 @@ def compile_to_ptx(
     """
 
     with cuda.ptx_compiler() as compiler:
-        program, printer = print_program(
+        program, printer = print_llvm_program(
             function, inputs, carry, is_over, ticks, record_capacity, width, group, small_batch
         )
         text = compiler(printer.module_text())
@@ -80,7 +80,7 @@ def compile_to_ptx(
     )
 
 
-def print_program(
+def print_llvm_program(
     function: TickFunction,
     inputs: Any,
     carry: Any,
@@ -90,7 +90,7 @@ def print_program(
     width: int,
     group: int = LEG_COUNT,
     small_batch: bool = False,
-) -> tuple[TracedProgram, cuda.GpuPrinter]:
+) -> tuple[TracedProgram, cuda.GpuKernelPrinter]:
     """Trace the function of a control tick and print it as LLVM assembly for a GPU.
 
     Args:
@@ -117,7 +117,7 @@ def print_program(
     flag = program.carry_leaves[is_over(jax.tree.unflatten(tree, range(tree.num_leaves)))].offset
     sizes = _end(program.input_leaves), _end(program.carry_leaves), _end([*program.record_leaves.values()])
     turns, needed = _rollouts_factor(width, group), schedule.used_node_numbers(program.top_block)
-    return program, cuda.GpuPrinter(
+    return program, cuda.GpuKernelPrinter(
         program.top_block, needed, sizes, ticks, flag, record_capacity, turns, group, small_batch
     )
 

@@ -10,12 +10,12 @@ import llvmlite.binding as llvm
 import numpy as np
 
 from sweep.fused.program import (
-    Address,
     Branch,
     LegIndex,
     LegReduction,
     Loop,
     LoopCount,
+    MemoryAddress,
     MemoryRegion,
     Node,
     Store,
@@ -36,7 +36,7 @@ REDUCTION_STARTS = {
 }  # start of a reduction over the legs
 
 
-def row_bytes(dtype: str, lanes: int) -> int:
+def lane_vector_bytes(dtype: str, lanes: int) -> int:
     """Return the size in bytes of a vector that holds a number for each of several rollouts (lanes)."""
     return lanes * np.dtype(dtype).itemsize
 
@@ -46,7 +46,7 @@ def round_to_alignment(size: int) -> int:
     return -(-size // ALIGNMENT_BYTES) * ALIGNMENT_BYTES
 
 
-class CpuPrinter(LlvmFunctionPrinter):
+class CpuKernelPrinter(LlvmFunctionPrinter):
     """Prints a program as an LLVM function `run(rollouts, scratch, record, stride, first, ticks)`.
 
     `record` advances by `stride` bytes each tick; `first` is the number of the first tick.
@@ -63,7 +63,7 @@ class CpuPrinter(LlvmFunctionPrinter):
         self.places: dict[MemoryRegion, int] = {}
         for region in sorted((r for r in used_memory_regions(top) if r.byte_offset < 0), key=id):
             self.places[region] = self.scratch
-            self.scratch += round_to_alignment(region.size * self.number_bytes(region.dtype))
+            self.scratch += round_to_alignment(region.size * self.lane_vector_bytes(region.dtype))
         self._order(top)
 
     def module_text(self, triple: str) -> str:
@@ -125,7 +125,7 @@ class CpuPrinter(LlvmFunctionPrinter):
         for node in turn.nodes:
             if node.op == "pack":
                 for k, x in enumerate(node.args):
-                    self._put(self.value_name(x), node.dtype, "%scratch", str(self.slot_offset(node) + k * self.row))
+                    self._put(self.value_name(x), node.dtype, "%scratch", str(self.scratch_offset(node) + k * self.row))
             else:
                 self.names[node.number] = self._work(node, [self.value_name(x) if not x.leg else "" for x in node.args])
 
@@ -139,7 +139,7 @@ class CpuPrinter(LlvmFunctionPrinter):
         self.lines.append(f"%{name}_k = phi i64 [0, %{before}], [%{name}_n, %{name}]")
         totals = []
         for k, node in enumerate(sums):
-            op = node.typed_extra(LegReduction).op
+            op = node.extra_data_of_type(LegReduction).op
             first = REDUCTION_STARTS[op]
             if not np.issubdtype(node.dtype, np.floating) and not isinstance(first, bool):
                 first = {"add": 0, "mul": 1, "max": np.iinfo(node.dtype).min, "min": np.iinfo(node.dtype).max}[op]
@@ -150,8 +150,10 @@ class CpuPrinter(LlvmFunctionPrinter):
         for node in turn.nodes:
             if node.op == "over_legs":
                 k = sums.index(node)
-                op = node.typed_extra(LegReduction).op
-                total = self.arithmetic(op, node.dtype, [totals[k], leg.value_name(node.args[0])], [node.dtype] * 2)
+                op = node.extra_data_of_type(LegReduction).op
+                total = self.print_arithmetic(
+                    op, node.dtype, [totals[k], leg.value_name(node.args[0])], [node.dtype] * 2
+                )
                 self.emit(
                     f"select i1 true, {self.vector_type(node.dtype)} {total}, {self.vector_type(node.dtype)} {total}",
                     f"%{name}_s{k}",
@@ -160,21 +162,21 @@ class CpuPrinter(LlvmFunctionPrinter):
                 continue
             value = leg.here[node.number] = self._work(node, [leg.value_name(x) for x in node.args], leg)
             if node.number in self.slots.by_node:
-                self._put(value, node.dtype, "%scratch", leg.leg_offset(self.row, self.slot_offset(node)))
+                self._put(value, node.dtype, "%scratch", leg.leg_offset(self.row, self.scratch_offset(node)))
         self.emit(f"add i64 %{name}_k, 1", f"%{name}_n")
         self.emit(f"icmp eq i64 %{name}_n, {self.group}", f"%{name}_c")
         self.lines.append(f"br i1 %{name}_c, label %{name}_x, label %{name}")
         self.start_block(f"{name}_x")
 
-    def slot_offset(self, node: Node) -> int:
+    def scratch_offset(self, node: Node) -> int:
         """Return where a node's values for the legs lie in scratch memory: the offset (bytes) of the first."""
         return self.slots.by_node[node.number] * self.group * self.row
 
     # memory
 
-    def number_bytes(self, dtype: str) -> int:
+    def lane_vector_bytes(self, dtype: str) -> int:
         """Return the size in bytes of a vector that holds a number for each of several rollouts (lanes)."""
-        return row_bytes(dtype, self.lanes)
+        return lane_vector_bytes(dtype, self.lanes)
 
     def region_pointer(self, region: MemoryRegion) -> tuple[str, int]:
         """Return the LLVM pointer to the memory that holds an array, and the array's offset in bytes from it."""
@@ -185,7 +187,7 @@ class CpuPrinter(LlvmFunctionPrinter):
     def _store(self, store: Store) -> None:
         region, value = store.region, store.value
         base, place = self.region_pointer(region)
-        size = self.number_bytes(region.dtype)
+        size = self.lane_vector_bytes(region.dtype)
         if region.is_record:
             count = self.counts[1]
             moved = self.emit(f"mul i64 {count}, %stride")
@@ -198,29 +200,29 @@ class CpuPrinter(LlvmFunctionPrinter):
             self._put(self.value_name(value), region.dtype, base, str(place + store.index * size))
             return
         for k in range(self.group):
-            one = self.leg_value(value, k)
+            one = self.leg_value_name(value, k)
             self._put(one, region.dtype, base, str(place + (store.index + k * store.leg_stride) * size))
 
-    def leg_value(self, node: Node, k: int) -> str:
+    def leg_value_name(self, node: Node, k: int) -> str:
         """Return the LLVM name of one leg's value, from a node that stands for all legs."""
         if node.op == "const":
             return self.literal(constant_value(node)[k])
         if node.op == "load":
-            region, index, _, step = node.typed_extra(Address)
+            region, index, _, step = node.extra_data_of_type(MemoryAddress)
             base, place = self.region_pointer(region)
-            return self.load_number(
-                region.dtype, base, str(place + (index + k * step) * self.number_bytes(region.dtype))
+            return self.print_number_load(
+                region.dtype, base, str(place + (index + k * step) * self.lane_vector_bytes(region.dtype))
             )
-        return self.load_number(node.dtype, "%scratch", str(self.slot_offset(node) + k * self.row))
+        return self.print_number_load(node.dtype, "%scratch", str(self.scratch_offset(node) + k * self.row))
 
     def _put(self, value: str, dtype: str, base: str, offset: str) -> None:
         at = self.emit(f"getelementptr i8, ptr {base}, i64 {offset}")
         if dtype == "bool":
             value = self.emit(f"zext {self.vector_type('bool')} {value} to {self.vector_type('int8')}")
         stored = self.vector_type("int8" if dtype == "bool" else dtype)
-        self.lines.append(f"store {stored} {value}, ptr {at}, align {min(64, self.number_bytes(dtype))}")
+        self.lines.append(f"store {stored} {value}, ptr {at}, align {min(64, self.lane_vector_bytes(dtype))}")
 
-    def load_number(self, dtype: str, base: str, offset: str, name: str | None = None) -> str:
+    def print_number_load(self, dtype: str, base: str, offset: str, name: str | None = None) -> str:
         """Print the load of a number from memory, `offset` bytes from a pointer.
 
         Args:
@@ -233,13 +235,15 @@ class CpuPrinter(LlvmFunctionPrinter):
         if dtype == "bool":
             found = self.emit(f"load {self.vector_type('int8')}, ptr {at}, align {self.lanes}")
             return self.emit(f"icmp ne {self.vector_type('int8')} {found}, zeroinitializer", name)
-        return self.emit(f"load {self.vector_type(dtype)}, ptr {at}, align {min(64, self.number_bytes(dtype))}", name)
+        return self.emit(
+            f"load {self.vector_type(dtype)}, ptr {at}, align {min(64, self.lane_vector_bytes(dtype))}", name
+        )
 
-    def gather_number(self, node: Node, place: str, offset: str) -> str:
+    def print_number_gather(self, node: Node, place: str, offset: str) -> str:
         """Print the load of a number from a different address for each rollout, plus `offset` bytes."""
-        region = node.typed_extra(Address).region
+        region = node.extra_data_of_type(MemoryAddress).region
         base, _ = self.region_pointer(region)
-        size, wide = self.number_bytes(region.dtype), self.vector_type("int64")
+        size, wide = self.lane_vector_bytes(region.dtype), self.vector_type("int64")
         lanes = ", ".join(f"i64 {k * np.dtype(region.dtype).itemsize}" for k in range(self.lanes))
         far = self.emit(f"sext {self.vector_type('int32')} {place} to {wide}")
         moved = self.emit(f"mul {wide} {far}, {self.splat('i64', size)}")
@@ -268,25 +272,31 @@ class CpuPrinter(LlvmFunctionPrinter):
         """Print a node's operation."""
         match node.op:
             case "load":
-                region, index, _, _ = node.typed_extra(Address)
+                region, index, _, _ = node.extra_data_of_type(MemoryAddress)
                 base, place = self.region_pointer(region)
-                return self.load_number(region.dtype, base, str(place + index * self.number_bytes(region.dtype)))
+                return self.print_number_load(
+                    region.dtype, base, str(place + index * self.lane_vector_bytes(region.dtype))
+                )
             case "gather":
-                region, index, _, step = node.typed_extra(Address)
+                region, index, _, step = node.extra_data_of_type(MemoryAddress)
                 _, place = self.region_pointer(region)
-                offset = place + index * self.number_bytes(region.dtype)
-                at = leg.leg_offset(step * self.number_bytes(region.dtype), offset) if leg and node.leg else str(offset)
-                return self.gather_number(node, args[0], at)
+                offset = place + index * self.lane_vector_bytes(region.dtype)
+                at = (
+                    leg.leg_offset(step * self.lane_vector_bytes(region.dtype), offset)
+                    if leg and node.leg
+                    else str(offset)
+                )
+                return self.print_number_gather(node, args[0], at)
             case "part":
-                return self.leg_value(node.args[0], node.typed_extra(LegIndex).leg)
+                return self.leg_value_name(node.args[0], node.extra_data_of_type(LegIndex).leg)
             case "any_rollout":
                 return self._any(args[0])
             case "count":
-                return self._whole(self.counts[node.typed_extra(LoopCount).depth])
+                return self._whole(self.counts[node.extra_data_of_type(LoopCount).depth])
             case "tick":
                 return self._whole(self.emit(f"add i64 {self.counts[1]}, %first"))
             case _:
-                return self.arithmetic(node.op, node.dtype, args, [x.dtype for x in node.args])
+                return self.print_arithmetic(node.op, node.dtype, args, [x.dtype for x in node.args])
 
     def _any(self, flags: str) -> str:
         """In all lanes, whether a flag is set in any."""
@@ -309,7 +319,7 @@ class CpuPrinter(LlvmFunctionPrinter):
 class LegLoopValues:
     """Looks up names of LLVM values inside a printed loop over the legs."""
 
-    def __init__(self, printer: CpuPrinter, count: str):
+    def __init__(self, printer: CpuKernelPrinter, count: str):
         self.printer, self.count = printer, count
         self.here: dict[int, str] = {}
         self.steps: dict[int, str] = {}
@@ -340,11 +350,13 @@ class LegLoopValues:
                 value = printer.emit(f"select i1 {test}, {kind} {printer.literal(values[k])}, {kind} {value}")
             return value
         if node.op == "load":
-            region, index, _, step = node.typed_extra(Address)
+            region, index, _, step = node.extra_data_of_type(MemoryAddress)
             base, place = printer.region_pointer(region)
-            size = printer.number_bytes(region.dtype)
-            return printer.load_number(region.dtype, base, self.leg_offset(step * size, place + index * size))
-        return printer.load_number(node.dtype, "%scratch", self.leg_offset(printer.row, printer.slot_offset(node)))
+            size = printer.lane_vector_bytes(region.dtype)
+            return printer.print_number_load(region.dtype, base, self.leg_offset(step * size, place + index * size))
+        return printer.print_number_load(
+            node.dtype, "%scratch", self.leg_offset(printer.row, printer.scratch_offset(node))
+        )
 
     def _is(self, k: int) -> str:
         key = -1 - k
@@ -362,7 +374,7 @@ def target_machine() -> llvm.TargetMachine:
     return target.create_target_machine(llvm.get_host_cpu_name(), features, opt=2, codemodel="default", jit=True)
 
 
-def compile_text(text: str, target: llvm.TargetMachine) -> bytes:
+def compile_llvm_assembly(text: str, target: llvm.TargetMachine) -> bytes:
     """Compile LLVM assembly to an object file."""
     module = llvm.parse_assembly(text)
     module.verify()

@@ -49,7 +49,7 @@ def fold_constants(name: str, dtype: str, values: Sequence[Any]) -> Any:
     return np.asarray(result, dtype)
 
 
-def simplify(name: str, args: Sequence[Node]) -> Node | None:
+def simplify_to_operand(name: str, args: Sequence[Node]) -> Node | None:
     """Return an operand that equals the operation's result bit for bit (except the sign of zero); None if there is
     none.
 

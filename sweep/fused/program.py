@@ -19,7 +19,7 @@ class ConstantBits(NamedTuple):
     value_bytes: tuple[bytes, ...]  # one, or one for each leg; bytes distinguish -0 from 0 and NaNs from each other
 
 
-class Address(NamedTuple):
+class MemoryAddress(NamedTuple):
     """Extra data of `load` and `gather` nodes: where a number, or the numbers of all legs, lie in memory."""
 
     region: "MemoryRegion"
@@ -27,9 +27,9 @@ class Address(NamedTuple):
     depth: int  # depth of the block in which it does not change
     leg_stride: int  # from leg to leg; 0 for a number that is not a leg's
 
-    def leg_addresses(self, group: int) -> list["Address"]:
+    def leg_addresses(self, group: int) -> list["MemoryAddress"]:
         """Return the address of each leg's number."""
-        return [Address(self.region, self.first_index + k * self.leg_stride, self.depth, 0) for k in range(group)]
+        return [MemoryAddress(self.region, self.first_index + k * self.leg_stride, self.depth, 0) for k in range(group)]
 
 
 class LoopCount(NamedTuple):
@@ -50,14 +50,14 @@ class LegReduction(NamedTuple):
     op: str  # add, mul, max, min, and, or
 
 
-class StoredNode(NamedTuple):
+class StoredNodeReference(NamedTuple):
     """Extra data of `handed_on` nodes: a node that another part of a GPU kernel has computed and stored."""
 
     node_number: int  # number of the node
     leg: int
 
 
-type Extra = ConstantBits | Address | LoopCount | LegIndex | LegReduction | StoredNode | None
+type Extra = ConstantBits | MemoryAddress | LoopCount | LegIndex | LegReduction | StoredNodeReference | None
 
 
 class Node:
@@ -74,7 +74,7 @@ class Node:
         self.op, self.args, self.extra, self.dtype, self.leg, self.number = op, args, extra, dtype, leg, number
         self.block = block
 
-    def typed_extra[T](self, kind: type[T]) -> T:
+    def extra_data_of_type[T](self, kind: type[T]) -> T:
         """Return the node's extra data, checked to be of the class `kind`."""
         assert isinstance(self.extra, kind), f"{self.op} has {self.extra}"
         return self.extra
@@ -157,11 +157,13 @@ class Program:
         self._number = 0
 
     @property
-    def top(self) -> Block:
+    def top_block(self) -> Block:
         """Outermost block of the program."""
         return self.blocks[0]
 
-    def node(self, op: str, args: Sequence[Node], dtype: str, extra: Extra = None, leg: bool | None = None) -> Node:
+    def get_or_add_node(
+        self, op: str, args: Sequence[Node], dtype: str, extra: Extra = None, leg: bool | None = None
+    ) -> Node:
         """Return the node of an operation; an existing equal node is reused.
 
         Args:
@@ -178,7 +180,7 @@ class Program:
             if key in block.node_by_key:
                 return block.node_by_key[key]
         depth = max((x.block.depth for x in args), default=0)
-        if isinstance(extra, Address):
+        if isinstance(extra, MemoryAddress):
             depth = max(depth, extra.depth)
         elif isinstance(extra, LoopCount):
             depth = extra.depth
@@ -192,17 +194,19 @@ class Program:
         home.items.append(made)
         return made
 
-    def const(self, value: Any, dtype: str) -> Node:
+    def constant_node(self, value: Any, dtype: str) -> Node:
         """Return the node of a constant: one number, or a tuple with one for each leg."""
         if isinstance(value, tuple):
             if len({_bits(v, dtype) for v in value}) == 1:
                 value = value[0]
             else:
-                return self.node("const", (), dtype, ConstantBits(tuple(_bits(v, dtype) for v in value)), leg=True)
-        return self.node("const", (), dtype, ConstantBits((_bits(value, dtype),)))
+                return self.get_or_add_node(
+                    "const", (), dtype, ConstantBits(tuple(_bits(v, dtype) for v in value)), leg=True
+                )
+        return self.get_or_add_node("const", (), dtype, ConstantBits((_bits(value, dtype),)))
 
     @contextmanager
-    def loop(self, length: int | None) -> Iterator[Loop]:
+    def open_loop(self, length: int | None) -> Iterator[Loop]:
         """Context that opens a loop of `length` iterations: operations added in it form the loop's body."""
         loop = Loop(length, Block(len(self.blocks)))
         self.blocks.append(loop.body)
@@ -211,14 +215,14 @@ class Program:
         self.blocks[-1].items.append(loop)
 
     @contextmanager
-    def branch(self, hoists: bool = False) -> Iterator[Block]:
+    def open_branch(self, hoists: bool = False) -> Iterator[Block]:
         """Context that opens a block of a branch: operations added in it run only if the branch is taken."""
         block = Block(len(self.blocks), is_conditional=True, allows_hoisting=hoists)
         self.blocks.append(block)
         yield block
         self.blocks.pop()
 
-    def add(self, item: Any) -> None:
+    def append_item(self, item: Any) -> None:
         """Add a loop, branch or store to the current block."""
         self.blocks[-1].items.append(item)
 
@@ -236,5 +240,5 @@ def _bits(value: Any, dtype: str) -> bytes:
 
 def constant_value(node: Node) -> Any:
     """Return the value of a constant node: a number, or an array with one for each leg."""
-    found = np.frombuffer(b"".join(node.typed_extra(ConstantBits).value_bytes), node.dtype)
+    found = np.frombuffer(b"".join(node.extra_data_of_type(ConstantBits).value_bytes), node.dtype)
     return found if node.leg else found[0]

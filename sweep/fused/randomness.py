@@ -73,7 +73,7 @@ def random_bits(key: Array, shape: tuple[int, ...]) -> Array:
     return (a ^ b).reshape(shape)
 
 
-def random_long_bits(key: Array, shape: tuple[int, ...]) -> Array:
+def random_64_bit_words(key: Array, shape: tuple[int, ...]) -> Array:
     """Return random 64-bit words, bit for bit those of JAX."""
     a, b = _counted(key, int(np.prod(shape)))
     return ((a.astype(jnp.uint64) << jnp.uint64(32)) | b.astype(jnp.uint64)).reshape(shape)
@@ -87,7 +87,7 @@ def split_key(key: Array, shape: tuple[int, ...]) -> Array:
 def _bits(key: Array, bit_width: int, shape: tuple[int, ...]) -> Array:
     if bit_width not in (32, 64):
         raise UnsupportedPrimitive(f"random words of {bit_width} bits")
-    return random_bits(key, shape) if bit_width == 32 else random_long_bits(key, shape)
+    return random_bits(key, shape) if bit_width == 32 else random_64_bit_words(key, shape)
 
 
 # functions of a key's words, other operands and JAX's parameters; keys are returned as words
@@ -107,7 +107,7 @@ def random_primitive_rules() -> dict[str, Callable]:
                 raise UnsupportedPrimitive("random numbers of several keys at once")
             if params.get("bit_width", 32) != 32:
                 raise UnsupportedPrimitive(f"random words of {params['bit_width']} bits")
-            made = self.trace_expansion(
+            made = self.expand_primitive_by_tracing(
                 lambda *xs: function(*xs, **params), [_words(keys), *args], ["uint32", *["uint32"] * len(args)]
             )
             return _pairs(made) if is_key(out) else made

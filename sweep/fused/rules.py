@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sweep.fused import randomness
-from sweep.fused.arrays import Array, ArrayBuilder, UnsupportedPrimitive, slices_along, stack
+from sweep.fused.arrays import Array, ArrayBuilder, UnsupportedPrimitive, slices_along_axis, stack
 
 
 def _convert(self: ArrayBuilder, x: Array, out: Any, **_: Any) -> Array:
@@ -87,7 +87,7 @@ def _dot_general(self: ArrayBuilder, a: Array, b: Array, out: Any, dimension_num
 def _argmax(better: str) -> Callable:
     def rule(self: ArrayBuilder, x: Array, out: Any, axes: tuple, **_: Any) -> Array:
         (axis,) = axes
-        rows = slices_along(x, axis)
+        rows = slices_along_axis(x, axis)
         best, index = rows[0], np.broadcast_to(self.constant(np.zeros((), out.dtype)), rows[0].shape)
         for k in range(1, len(rows)):
             if x.flat[0].dtype == "bool":
@@ -111,7 +111,7 @@ def _argmax(better: str) -> Callable:
 
 def _cumulative(name: str) -> Callable:
     def rule(self: ArrayBuilder, x: Array, out: Any, axis: int, reverse: bool) -> Array:
-        rows = slices_along(x, axis)
+        rows = slices_along_axis(x, axis)
         rows = rows[::-1] if reverse else rows
         for k in range(1, len(rows)):
             rows[k] = self.map_elements(name, [rows[k - 1], rows[k]], out.dtype.name)
@@ -145,17 +145,17 @@ def _gather(
     kept = [d for d in range(x.ndim) if d not in (*dims.collapsed_slice_dims, *dims.operand_batching_dims)]
     result = np.empty(out.shape, object)
     for at in np.ndindex(*[out.shape[d] for d in batch]):
-        starts = [self.program.const(0, "int32")] * x.ndim
+        starts = [self.program.constant_node(0, "int32")] * x.ndim
         for k, d in enumerate(dims.start_index_map):
             starts[d] = indices[(*at, k)]
         for d, i in zip(dims.operand_batching_dims, dims.start_indices_batching_dims, strict=True):
-            starts[d] = self.program.const(at[i], "int32")
+            starts[d] = self.program.constant_node(at[i], "int32")
         found = self.read_window(x, starts, slice_sizes)
         if "FILL" in str(mode):
-            inside = self.program.const(True, "bool")
+            inside = self.program.constant_node(True, "bool")
             for s, n, size in zip(starts, x.shape, slice_sizes, strict=True):
                 for test, edge in (("ge", 0), ("le", n - size)):
-                    ok = self.emit(test, "bool", s, self.program.const(edge, s.dtype))
+                    ok = self.emit(test, "bool", s, self.program.constant_node(edge, s.dtype))
                     inside = self.emit("and", "bool", inside, ok)
             fill = self.constant(
                 np.asarray(out_of_bounds_value(out.dtype) if fill_value is None else fill_value, out.dtype)
@@ -213,14 +213,14 @@ def _scatter(combine: str | None) -> Callable:
             starts = {d: indices[(*at, k)] for k, d in enumerate(dims.scatter_dims_to_operand_dims)}
             if "CLIP" in str(mode):
                 starts = {d: self.clamp_index(s, x.shape[d] - sizes[d]) for d, s in starts.items()}
-            self.write_window(result, update, starts, combine)
+            self.scatter_window(result, update, starts, combine)
         return result
 
     return rule
 
 
 def _unstack(args: list[Array], eqn: Any) -> list[Array]:
-    return slices_along(args[0], eqn.params["axis"])
+    return slices_along_axis(args[0], eqn.params["axis"])
 
 
 def _split(args: list[Array], eqn: Any) -> list[Array]:

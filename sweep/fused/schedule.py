@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sweep.fused.program import Address, Block, Branch, Loop, MemoryRegion, Node, Store, walk_block
+from sweep.fused.program import Block, Branch, Loop, MemoryAddress, MemoryRegion, Node, Store, walk_block
 
 RECOMPUTED_OPERATIONS = frozenset(("const", "load"))  # operations that are repeated wherever their value is needed
 
@@ -168,11 +168,11 @@ def used_memory_regions(order: BlockSchedule) -> set[MemoryRegion]:
     for at, step in enumerate(order.steps):
         if isinstance(step, OperationGroup):
             nodes = step.nodes
-            found |= {n.extra.region for n in nodes if isinstance(n.extra, Address)}
-            found |= {a.extra.region for n in nodes for a in n.args if isinstance(a.extra, Address)}
+            found |= {n.extra.region for n in nodes if isinstance(n.extra, MemoryAddress)}
+            found |= {a.extra.region for n in nodes for a in n.args if isinstance(a.extra, MemoryAddress)}
         elif isinstance(step, Store):
             found.add(step.region)
-            found |= {step.value.extra.region} if isinstance(step.value.extra, Address) else set()
+            found |= {step.value.extra.region} if isinstance(step.value.extra, MemoryAddress) else set()
         for inner in order.inner_schedules.get(at, []):
             found |= used_memory_regions(inner)
     return found

@@ -80,7 +80,7 @@ class LlvmFunctionPrinter:
         """Return the LLVM type of a vector that holds a number for each of several rollouts (lanes)."""
         return LLVM_TYPES[dtype] if self.lanes == 1 else f"<{self.lanes} x {LLVM_TYPES[dtype]}>"
 
-    def type_suffix(self, dtype: str) -> str:
+    def intrinsic_type_suffix(self, dtype: str) -> str:
         """Return the suffix that LLVM intrinsics have for a number type, such as `f32`."""
         kind = {"float": "f32", "double": "f64"}.get(LLVM_TYPES[dtype], LLVM_TYPES[dtype])
         return kind if self.lanes == 1 else f"v{self.lanes}{kind}"
@@ -108,11 +108,11 @@ class LlvmFunctionPrinter:
             args: names of the operands.
             extra: further operands as text.
         """
-        vector, function = self.vector_type(dtype), f"@llvm.{name}.{self.type_suffix(dtype)}"
+        vector, function = self.vector_type(dtype), f"@llvm.{name}.{self.intrinsic_type_suffix(dtype)}"
         self.declared.add(f"declare {vector} {function}({', '.join([vector] * len(args))}{', i1' if extra else ''})")
         return self.emit(f"call {vector} {function}({', '.join(f'{vector} {x}' for x in args)}{extra})")
 
-    def arithmetic(self, op: str, dtype: str, args: list[str], kinds: Sequence[str]) -> str:
+    def print_arithmetic(self, op: str, dtype: str, args: list[str], kinds: Sequence[str]) -> str:
         """Print an arithmetic operation on vectors.
 
         Args:
@@ -145,7 +145,7 @@ class LlvmFunctionPrinter:
                     else self.call_intrinsic("abs", of, args, ", i1 false")
                 )
             case "max" | "min" if floating:
-                return self.max_or_min(op, of, args)
+                return self.print_max_or_min(op, of, args)
             case "max" | "min":
                 sign = "u" if of.startswith("u") or of == "bool" else "s"
                 return self.call_intrinsic(f"{sign}{op}", of, args)
@@ -164,7 +164,7 @@ class LlvmFunctionPrinter:
                     f"{unsigned.get(INTEGER_INSTRUCTIONS[op], INTEGER_INSTRUCTIONS[op])} {vector} {args[0]}, {args[1]}"
                 )
 
-    def max_or_min(self, op: str, dtype: str, args: list[str]) -> str:
+    def print_max_or_min(self, op: str, dtype: str, args: list[str]) -> str:
         """Print the LLVM code for the maximum or minimum of two numbers; NaN if either is NaN.
 
         Args:
@@ -187,7 +187,7 @@ class LlvmFunctionPrinter:
         if was.kind == "f" and to.kind == "f":
             return self.emit(f"{'fpext' if to.itemsize > was.itemsize else 'fptrunc'} {a} {value} to {b}")
         if was.kind == "f":
-            types = f"{self.type_suffix(to_type)}.{self.type_suffix(from_type)}"
+            types = f"{self.intrinsic_type_suffix(to_type)}.{self.intrinsic_type_suffix(from_type)}"
             name = f"@llvm.fpto{'u' if to.kind == 'u' else 's'}i.sat.{types}"
             self.declared.add(f"declare {b} {name}({a})")
             return self.emit(f"call {b} {name}({a} {value})")

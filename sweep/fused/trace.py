@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from sweep.fused.interpret import Interpreter
+from sweep.fused.interpret import JaxprInterpreter
 from sweep.fused.program import Block, LoopCount, MemoryRegion, Program
 from sweep.fused.randomness import keys_to_words, rewrap_if_key
 
@@ -85,15 +85,15 @@ def trace_program(
     recorded, _ = layout([record[name] for name in names], 0)
 
     program = Program(group)
-    interpreter = Interpreter(program)
+    interpreter = JaxprInterpreter(program)
     regions = [[MemoryRegion(x.size, x.dtype, depth, x.offset, told) for x in leaves]
                for leaves, depth, told in ((constant, 0, False), (moving, 1, False), (recorded, 1, True))]  # fmt: skip
-    with program.loop(None) as loop:
-        tick = np.full((), program.node("tick", (), "int32", LoopCount(1)), object)
+    with program.open_loop(None) as loop:
+        tick = np.full((), program.get_or_add_node("tick", (), "int32", LoopCount(1)), object)
         inputs = [interpreter.load_array(region, leaf.shape, region.depth)
                   for group, leaves in zip(regions[:2], (constant, moving), strict=True)
                   for region, leaf in zip(group, leaves, strict=True)]  # fmt: skip
-        results = interpreter.evaluate(jaxpr.jaxpr, jaxpr.consts, [*inputs, tick])
+        results = interpreter.evaluate_jaxpr(jaxpr.jaxpr, jaxpr.consts, [*inputs, tick])
         for region, value in zip((*regions[1], *regions[2]), results, strict=True):
-            interpreter.save(region, value, loop.body.stores)
-    return TracedProgram(program.top, constant, moving, dict(zip(names, recorded, strict=True)))
+            interpreter.store_array(region, value, loop.body.stores)
+    return TracedProgram(program.top_block, constant, moving, dict(zip(names, recorded, strict=True)))

@@ -17,9 +17,9 @@ from sweep.models.posture import Stance
 from sweep.models.robot import length_unit
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.forces import PlannedForces
-from sweep.planning.moves import MoveContext, initial_stance, part_stages
+from sweep.planning.moves import MoveContext, initial_stance, plan_part_stages
 from sweep.planning.plan_table import BESIDE, plan_content
-from sweep.planning.symmetry import apply_direction
+from sweep.planning.symmetry import apply_plan_direction
 from sweep.planning.validation import require_within_reach, stances_at_stage_ends
 
 START = "start"  # part that places the robot
@@ -63,7 +63,7 @@ class Follow(PlannedForces):
             lambda: stances_at_stage_ends(self.plan_without_forces(belief), free_start_state(belief.obstacle)),
             "plan is not allowed: ",
         )
-        return self.with_feedforward(belief, plan) if self.forces == "planned" else plan
+        return self.add_force_feedforward(belief, plan) if self.forces == "planned" else plan
 
     def plan_without_forces(self, belief: Case) -> Plan:
         """Return the plan of the plan file's moves without planned foot forces, which `plan` adds."""
@@ -71,7 +71,7 @@ class Follow(PlannedForces):
         feet, position, standing = initial_stance(START, context)
         for part in plan_content(belief):
             if part not in (START, *BESIDE):
-                stages_of_part, standing = part_stages(part, context, standing)
+                stages_of_part, standing = plan_part_stages(part, context, standing)
                 stages += stages_of_part
         if not stages:
             raise InputError(f"plan is not allowed: manoeuvre.kind = {self.kind} needs a part with moves")
@@ -80,10 +80,10 @@ class Follow(PlannedForces):
         start = Stance(
             feet, position, multiply(exponential(-jnp.asarray(standing.pitch) * context.left_direction), level)
         )
-        stages = self.with_load_transfer(stages) if self.forces == "planned" else stages
+        stages = self.insert_load_transfers(stages) if self.forces == "planned" else stages
         plan = compile_plan(start, [Stage("stand", STAND), *stages, Stage("halt", STAND)], self.patience,
                         free=free_start_state(belief.obstacle))  # fmt: skip
-        return apply_direction(belief, plan)
+        return apply_plan_direction(belief, plan)
 
     def move_context(self, belief: Case) -> MoveContext:
         """Return the coordinate systems and directions for moves in the plan file."""

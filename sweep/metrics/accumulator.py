@@ -11,7 +11,7 @@ from sweep.controllers.plan import Plan
 from sweep.core.metric import Cause, Metric, compute_columns
 from sweep.metrics import solver
 from sweep.metrics.outcome import OutcomeThresholds, threshold_value
-from sweep.metrics.tick import MetricTick, RolloutEnd, RolloutStart
+from sweep.metrics.tick import MetricContext, RolloutEnd, RolloutStart
 from sweep.models.case import Case
 
 OVERTURNED_TILT_DEG = 60.0  # deg of tilt: nothing after it tells anything of the manoeuvre
@@ -39,7 +39,10 @@ def metrics_computed_each_tick(world: Case) -> tuple[str, ...]:
     """Return the names of the metrics that are computed in every tick, since causes of failure are checked by them."""
     causes = causes_judged_each_tick(world)
     there = {name for metric in metrics.applicable_metrics(world) for name in metric.columns}
-    return (*(c.metric for c in causes), *(c.companion_metric for c in causes if c.companion_metric in there))
+    return (
+        *(c.metric for c in causes),
+        *(c.margin_companion_metric for c in causes if c.margin_companion_metric in there),
+    )
 
 
 def begin(start: RolloutStart) -> RunningMetrics:
@@ -55,7 +58,7 @@ def begin(start: RolloutStart) -> RunningMetrics:
     )
 
 
-def with_start_energy(world: Case, running: RunningMetrics, energy: Array) -> RunningMetrics:
+def set_start_energy(world: Case, running: RunningMetrics, energy: Array) -> RunningMetrics:
     """Return the metric states with the mechanical energy (J) at the start, the reference for growth of energy.
 
     Args:
@@ -70,7 +73,7 @@ def with_start_energy(world: Case, running: RunningMetrics, energy: Array) -> Ru
 
 
 def update(
-    running: RunningMetrics, ctx: MetricTick, limits: OutcomeThresholds, number: Array
+    running: RunningMetrics, ctx: MetricContext, limits: OutcomeThresholds, number: Array
 ) -> tuple[RunningMetrics, Float[Array, " w"]]:
     """Update the states of all metrics of a rollout after a control tick.
 
@@ -103,7 +106,7 @@ def update(
     return kept, jnp.stack([jnp.asarray(found[name], time.dtype) for name in metrics_computed_each_tick(world)])
 
 
-def _update_metric(metric: Metric, state: Any, ctx: MetricTick, number: Array) -> Any:
+def _update_metric(metric: Metric, state: Any, ctx: MetricContext, number: Array) -> Any:
     every = max(1, int(metric.interval / ctx.period + 1e-6))
     if every == 1:
         return metric.update(state, ctx)

@@ -7,8 +7,8 @@ from jaxtyping import Array, Float
 
 from sweep.core.metric import Cause, Metric
 from sweep.core.shared_metrics import attitude
-from sweep.core.shared_metrics.attitude import Tilt
-from sweep.metrics.tick import MetricTick, RolloutEnd, RolloutStart, goal_cause
+from sweep.core.shared_metrics.attitude import TiltState
+from sweep.metrics.tick import MetricContext, RolloutEnd, RolloutStart, make_goal_cause
 
 
 class AttitudeErrors(NamedTuple):
@@ -28,17 +28,17 @@ def begin(start: RolloutStart) -> AttitudeErrors:
     return AttitudeErrors(tilt.largest_tilt, start.constant_state(0.0), tilt.quat)
 
 
-def update(state: AttitudeErrors, ctx: MetricTick) -> AttitudeErrors:
+def update(state: AttitudeErrors, ctx: MetricContext) -> AttitudeErrors:
     """Update the base's largest tilt from the commanded vertical, and its largest rotation about it (deg)."""
     w, _, _, z = ctx.attitude_error
     heading = jnp.degrees(jnp.abs(2 * jnp.arctan2(z * jnp.sign(w), jnp.abs(w))))
-    tilt = attitude.METRIC.update(Tilt(state.tilt, state.quat), ctx)
+    tilt = attitude.METRIC.update(TiltState(state.tilt, state.quat), ctx)
     return AttitudeErrors(tilt.largest_tilt, jnp.maximum(state.heading, heading), tilt.quat)
 
 
 def compute(state: AttitudeErrors, rollout: RolloutEnd) -> dict[str, Array]:
     """Return the largest attitude errors and the final tilt (deg), by column."""
-    tilt = attitude.METRIC.compute(Tilt(state.tilt, state.quat), rollout)
+    tilt = attitude.METRIC.compute(TiltState(state.tilt, state.quat), rollout)
     return {**tilt, "heading_error_max_deg": state.heading}
 
 
@@ -53,6 +53,6 @@ METRIC = Metric(
     (
         Cause("fell", "the base tilted beyond tilt_max_deg", "tilt_max_deg", 20.0),
         Cause("off_course", "the heading was off by more than heading_error_max_deg", "heading_error_max_deg", 5.0),
-        goal_cause("the base ended tilted by more than end_tilt_max_deg", "end_tilt_deg"),
+        make_goal_cause("the base ended tilted by more than end_tilt_max_deg", "end_tilt_deg"),
     ),
 )

@@ -23,7 +23,7 @@ def begin(start: RolloutStart) -> CalibrationResult:
     return start.learned.calibration
 
 
-def learned_sizes(state: CalibrationResult) -> dict[str, Array]:
+def learned_size_columns(state: CalibrationResult) -> dict[str, Array]:
     """Return the robot sizes that calibration estimated, and their standard deviations (m), by column."""
     sizes = learnable_sizes(state.robot)
     own = {f"learned_{name}_m": jnp.asarray(getattr(state.robot, name)) for name in sizes}
@@ -34,7 +34,7 @@ def learned_sizes(state: CalibrationResult) -> dict[str, Array]:
 METRIC = Metric(
     begin,
     lambda state, ctx: state,
-    lambda state, rollout: learned_sizes(state),
+    lambda state, rollout: learned_size_columns(state),
     {f"learned_{name}_m": f"{what}, estimated by calibration" for name, what in SIZE_COLUMNS.items()}
     | {f"learned_{name}_sd_m": f"standard deviation of the estimate of {what}" for name, what in SIZE_COLUMNS.items()},
     applies=lambda case: case.control.calibrate == "sizes",

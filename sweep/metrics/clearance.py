@@ -7,13 +7,13 @@ from jaxtyping import Array, Float
 
 from sweep.core.metric import Cause, make_extremes_metric
 from sweep.core.rotations import matrix
-from sweep.metrics.tick import MetricTick
+from sweep.metrics.tick import MetricContext
 from sweep.models.geometry import gap_between_legs, leg_base_gap, link_capsules, thigh_shin_gap
 from sweep.models.robot import base_half_size
 from sweep.models.solids import distance_to_box
 
 
-def distances(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
+def least_clearances(ctx: MetricContext) -> Iterator[Float[Array, ""]]:
     """Return the least distances (m) in this tick: base and links to the obstacle, legs to each other and to the base.
 
     Links are `link_capsules`. Towards base and thigh they begin with a round end beyond the joint.
@@ -29,7 +29,7 @@ def distances(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
 
 
 METRIC = make_extremes_metric(
-    distances,
+    least_clearances,
     {
         "clearance_min_m": "least distance of base and links to the obstacle, negative inside; links collide only "
         "with `engine=native engine.solid=true`",

@@ -6,11 +6,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.metric import Cause, make_extremes_metric
-from sweep.metrics.tick import MetricTick
+from sweep.metrics.tick import MetricContext
 from sweep.models.obstacles.surface import surface_at
 
 
-def largest_penetration(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
+def largest_penetration(ctx: MetricContext) -> Iterator[Float[Array, ""]]:
     """Return the largest penetration depth (m) of a foot into the obstacle in this tick."""
     yield jnp.max(surface_at(ctx.world.obstacle, ctx.report.joints[:, -1], ctx.report.bodies).depth)
 

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from sweep.core.metric import Cause, Metric
 from sweep.core.shared_metrics import joint_speed, joint_torque, work
-from sweep.metrics.tick import FORCE_FILTER_TIME_S, MetricTick, RolloutEnd, RolloutStart
+from sweep.metrics.tick import FORCE_FILTER_TIME_S, MetricContext, RolloutEnd, RolloutStart
 from sweep.models.legs import JOINT_KINDS
 
 
@@ -36,7 +36,7 @@ def begin(start: RolloutStart) -> DriveLoads:
     return DriveLoads(torque, kinds, effort, zero, speed, zero, kinds, start.constant_state(1.0))
 
 
-def update(state: DriveLoads, ctx: MetricTick) -> DriveLoads:
+def update(state: DriveLoads, ctx: MetricContext) -> DriveLoads:
     """Update peak joint torques, time at the torque limit averaged over legs, and positive work of the drives."""
     tick, world = ctx.report, ctx.world
     limit = world.execution.torque_scale * world.drive.torque_limit

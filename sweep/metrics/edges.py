@@ -6,15 +6,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.metric import make_extremes_metric
-from sweep.metrics.tick import MetricTick
-from sweep.models.geometry import EDGE_SEARCH_RADIUS_M, edge_distance
+from sweep.metrics.tick import MetricContext
+from sweep.models.geometry import EDGE_SEARCH_RADIUS_M, foot_edge_distance
 from sweep.models.obstacles.plane import Plane
 
 
-def least_edge_distance(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
+def least_edge_distance(ctx: MetricContext) -> Iterator[Float[Array, ""]]:
     """Return the least distance (m) of a loaded foot from the edges of the face on which it stands."""
     tick = ctx.report
-    left = edge_distance(ctx.world.obstacle, tick.joints[:, -1], tick.bodies)
+    left = foot_edge_distance(ctx.world.obstacle, tick.joints[:, -1], tick.bodies)
     yield jnp.min(left, where=tick.actual.loaded, initial=EDGE_SEARCH_RADIUS_M)
 
 

@@ -3,16 +3,16 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from sweep.controllers.frames import to_world
-from sweep.core.metric import ContinuousTwin, Metric
-from sweep.metrics.tick import MetricTick, RolloutEnd, RolloutStart, goal_cause
-from sweep.models.obstacles.surface import FreeState, body_poses, surface_at
+from sweep.controllers.frames import points_to_world
+from sweep.core.metric import Metric, SmoothMarginMetric
+from sweep.metrics.tick import MetricContext, RolloutEnd, RolloutStart, make_goal_cause
+from sweep.models.obstacles.surface import FreeBodyState, body_poses, surface_at
 
 # m, within which a foot that may hover, since others carry, is at a face: what a base off by 2 degrees makes of the
 # feet beside it, and half the height of a swing
 FACE_TOLERANCE_M = 0.02
 
-FinalPositions = tuple[Float[Array, "6 3"], FreeState]  # feet (m) and free bodies
+FinalPositions = tuple[Float[Array, "6 3"], FreeBodyState]  # feet (m) and free bodies
 
 
 def begin(start: RolloutStart) -> FinalPositions:
@@ -20,7 +20,7 @@ def begin(start: RolloutStart) -> FinalPositions:
     return start.feet, start.free
 
 
-def update(state: FinalPositions, ctx: MetricTick) -> FinalPositions:
+def update(state: FinalPositions, ctx: MetricContext) -> FinalPositions:
     """Replace the stored foot positions and free-body poses by those at the end of this tick."""
     return ctx.report.joints[:, -1], ctx.report.actual.free
 
@@ -28,7 +28,7 @@ def update(state: FinalPositions, ctx: MetricTick) -> FinalPositions:
 def compute(state: FinalPositions, rollout: RolloutEnd) -> dict[str, Array]:
     """Return by column how many feet end on their planned faces, and the largest distance (m) from these faces."""
     feet, free = state
-    target = to_world(rollout.plan.foothold[-1], rollout.plan.foot_frame[-1], free)
+    target = points_to_world(rollout.plan.foothold[-1], rollout.plan.foot_frame[-1], free)
     here, there = (surface_at(rollout.world.obstacle, p, body_poses(free)) for p in (feet, target))
     same = (here.face == there.face) & (here.body == there.body)
     hit = same & (here.depth > -FACE_TOLERANCE_M)
@@ -47,12 +47,12 @@ METRIC = Metric(
         "the distance from its foothold, at least 20 mm",
     },
     (
-        goal_cause(
+        make_goal_cause(
             "fewer feet than feet_on_target_min ended on their planned faces",
             "feet_on_target",
             below=True,
             is_count=True,
-            twin=ContinuousTwin("foot_gap_max_m", FACE_TOLERANCE_M, FACE_TOLERANCE_M),
+            twin=SmoothMarginMetric("foot_gap_max_m", FACE_TOLERANCE_M, FACE_TOLERANCE_M),
         ),
     ),
 )

@@ -8,12 +8,19 @@ from jaxtyping import Array, Float
 
 from sweep.core.metric import Cause, Metric
 from sweep.core.rotations import conjugate, logarithm, multiply
-from sweep.metrics.tick import REST_DURATION_S, FinalInterval, MetricTick, RolloutEnd, RolloutStart, goal_cause
+from sweep.metrics.tick import (
+    REST_DURATION_S,
+    FinalIntervalStart,
+    MetricContext,
+    RolloutEnd,
+    RolloutStart,
+    make_goal_cause,
+)
 
 FINAL_INTERVAL_S = 12.0  # s of the plan, its last, over which the speed of a body that is left in motion is taken
 
 
-class BodiesMotion(NamedTuple):
+class FreeBodyMotion(NamedTuple):
     """Positions (m) of free bodies, such as balls, at the start, after the first stage, and in the last ticks.
 
     How far they went since both, and turned since the latter (rad); where they were when the plan ended, and since
@@ -24,8 +31,8 @@ class BodiesMotion(NamedTuple):
     first_stage_end: Float[Array, "k 3"]
     position: Float[Array, "k 3"]
     first_stage_quat: Float[Array, "k 4"]
-    final_interval: FinalInterval
-    final_state: FinalInterval
+    final_interval: FinalIntervalStart
+    final_state: FinalIntervalStart
     largest_displacement: Float[Array, ""]
     largest_shift: Float[Array, ""]
     largest_turn: Float[Array, ""]
@@ -33,23 +40,23 @@ class BodiesMotion(NamedTuple):
     least_ride_height: Float[Array, ""]
 
 
-def begin(start: RolloutStart) -> BodiesMotion:
+def begin(start: RolloutStart) -> FreeBodyMotion:
     """Return the state of the motion metrics before the free bodies move."""
     place = start.free.position
     zero = jnp.zeros((), place.dtype)
-    here, far = FinalInterval(place, zero), jnp.full((), jnp.inf, place.dtype)
-    return BodiesMotion(place, place, place, start.free.quat, here, here, zero, zero, zero, zero, far)
+    here, far = FinalIntervalStart(place, zero), jnp.full((), jnp.inf, place.dtype)
+    return FreeBodyMotion(place, place, place, start.free.quat, here, here, zero, zero, zero, zero, far)
 
 
-def update(state: BodiesMotion, ctx: MetricTick) -> BodiesMotion:
+def update(state: FreeBodyMotion, ctx: MetricContext) -> FreeBodyMotion:
     """Update how far (m) the free bodies, such as balls, have moved from their start."""
     place, quat = ctx.report.actual.free.position, ctx.report.actual.free.quat
     way = place - state.start
     settled = jnp.where(ctx.stage == 0, place, state.first_stage_end)
     upright = jnp.where(ctx.stage == 0, quat, state.first_stage_quat)
     turn = jnp.linalg.norm(logarithm(multiply(quat, conjugate(upright))), axis=-1)
-    here, manoeuvre = FinalInterval(place, ctx.time), ctx.world.manoeuvre
-    return BodiesMotion(
+    here, manoeuvre = FinalIntervalStart(place, ctx.time), ctx.world.manoeuvre
+    return FreeBodyMotion(
         start=state.start,
         first_stage_end=settled,
         position=place,
@@ -64,7 +71,7 @@ def update(state: BodiesMotion, ctx: MetricTick) -> BodiesMotion:
     )
 
 
-def compute(state: BodiesMotion, rollout: RolloutEnd) -> dict[str, Array]:
+def compute(state: FreeBodyMotion, rollout: RolloutEnd) -> dict[str, Array]:
     """Return the displacements of the free bodies, and their mean speeds over the plan's final interval, by column."""
     manoeuvre = rollout.world.manoeuvre
     if manoeuvre.drives_body:
@@ -126,11 +133,11 @@ METRIC = Metric(
             "obstacle_turn_max_rad",
             None,
         ),
-        goal_cause(
+        make_goal_cause(
             "the final speed of the body that the robot rides on was off by more than obstacle_speed_error_max_mps",
             "obstacle_speed_error_mps",
         ),
-        goal_cause(
+        make_goal_cause(
             "the body that the robot rides on drifted sideways by more than obstacle_aside_max_m",
             "obstacle_aside_max_m",
         ),

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from sweep.core.metric import Metric, make_begin_with_constants
 from sweep.metrics.footholds import FACE_TOLERANCE_M
-from sweep.metrics.tick import MetricTick
+from sweep.metrics.tick import MetricContext
 from sweep.models.obstacles.surface import surface_at
 
 
@@ -22,7 +22,7 @@ class LandingPatience(NamedTuple):
     least_patience: Float[Array, ""]
 
 
-def update(state: LandingPatience, ctx: MetricTick) -> LandingPatience:
+def update(state: LandingPatience, ctx: MetricContext) -> LandingPatience:
     """Update the least share left of the time for which the robot may wait for feet that touch down late."""
     plan, tick, new = ctx.plan, ctx.report, ctx.stage != state.stage
     began = jnp.where(new, ctx.time - ctx.period, state.stage_start_time)

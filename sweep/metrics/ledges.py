@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from sweep.controllers.plan import is_guided_by_law
 from sweep.core.metric import Cause, Metric, make_begin_with_constants
 from sweep.manoeuvres.balancing.ball_ledges import OFF, ON
-from sweep.metrics.tick import MetricTick, RolloutEnd, goal_cause
+from sweep.metrics.tick import MetricContext, RolloutEnd, make_goal_cause
 from sweep.models.obstacles.ledges import Ledges
 
 ARRIVAL_GAP_M = 4e-3  # m, of a ball that has come to the far wall
@@ -23,7 +23,7 @@ class LedgeCrossing(NamedTuple):
     docking_speed: Float[Array, ""]  # m/s
 
 
-def update(state: LedgeCrossing, ctx: MetricTick) -> LedgeCrossing:
+def update(state: LedgeCrossing, ctx: MetricContext) -> LedgeCrossing:
     """Update the distances to ball centre and far wall, and the speed at which the ball first reaches the wall."""
     ledges, tick = ctx.world.obstacle, ctx.report
     assert isinstance(ledges, Ledges)
@@ -65,10 +65,10 @@ METRIC = Metric(
             "past_centre_max_m",
             None,
         ),
-        goal_cause(
+        make_goal_cause(
             "the ball stayed farther from the far wall than docking_gap_max_m when the robot left it", "docking_gap_m"
         ),
-        goal_cause("the ball reached the far wall faster than docking_speed_max_mps", "docking_speed_mps"),
+        make_goal_cause("the ball reached the far wall faster than docking_speed_max_mps", "docking_speed_mps"),
     ),
     applies=lambda case: isinstance(case.obstacle, Ledges),
 )

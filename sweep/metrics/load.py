@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from sweep.core.constants import FOOT_LOAD_THRESHOLD_N, GRAVITY
 from sweep.core.metric import Metric, make_begin_with_constants
-from sweep.metrics.tick import FORCE_FILTER_TIME_S, MetricTick, RolloutEnd
+from sweep.metrics.tick import FORCE_FILTER_TIME_S, MetricContext, RolloutEnd
 from sweep.models.obstacles.surface import surface_at
 from sweep.models.robot import total_mass
 
@@ -26,7 +26,7 @@ class FootLoads(NamedTuple):
     least_reserve: Float[Array, ""]
 
 
-def update(state: FootLoads, ctx: MetricTick) -> FootLoads:
+def update(state: FootLoads, ctx: MetricContext) -> FootLoads:
     """Update the peaks and time integrals of the foot loads with the mean foot forces of this tick."""
     tick, weight = ctx.report, GRAVITY * total_mass(ctx.world.robot)
     demand = jnp.where(

@@ -78,10 +78,10 @@ def cause_meanings(limits: OutcomeThresholds) -> dict[str, str]:
     """
     return CAUSE_MEANINGS | {cause.name: f"{sentence} ({cause.threshold})" if sentence != cause.sentence else sentence
                              for cause in CAUSES if cause.name != GOAL_MISSED
-                             for sentence in [sentence_with_limit(cause, limits)]}  # fmt: skip
+                             for sentence in [cause_sentence_with_threshold(cause, limits)]}  # fmt: skip
 
 
-def sentence_with_limit(cause: Cause, limits: OutcomeThresholds) -> str:
+def cause_sentence_with_threshold(cause: Cause, limits: OutcomeThresholds) -> str:
     """Return the sentence that explains a cause of failure, with value and unit of its threshold filled in."""
     if not cause.threshold or not np.isfinite(limit := threshold_value(cause, limits)):
         return cause.sentence
@@ -160,7 +160,7 @@ def explain_cause(row: Mapping[str, Any], limits: OutcomeThresholds) -> str:
         if cause.name == row["cause"] and cause.threshold == row["limit"] and cause.metric in row:
             value = f" ({cause.metric} {float(row[cause.metric]):.4g}, " if cause.threshold else ""
             side = "at least" if cause.below else "at most"
-            return sentence_with_limit(cause, limits) + (
+            return cause_sentence_with_threshold(cause, limits) + (
                 value and f"{value}{side} {threshold_value(cause, limits):.4g})"
             )
     return CAUSE_MEANINGS.get(str(row["cause"]), "")

@@ -6,15 +6,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from sweep.controllers.plan import path_length
-from sweep.core.metric import Cause, ContinuousTwin, Metric
+from sweep.core.metric import Cause, Metric, SmoothMarginMetric
 from sweep.core.shared_metrics import travel
-from sweep.core.shared_metrics.travel import Travel
+from sweep.core.shared_metrics.travel import TravelState
 from sweep.metrics.tick import (
     MAX_DURATION_FACTOR,
-    MetricTick,
+    MetricContext,
     RolloutEnd,
     RolloutStart,
-    goal_cause,
+    make_goal_cause,
     remaining_plan_time,
 )
 from sweep.models.frames import WORLD_FRAME
@@ -26,7 +26,7 @@ class PlanProgress(NamedTuple):
     The use is the time that the plan took over all that it is given, or 1 and a share for what it still lacks.
     """
 
-    travel: Travel
+    travel: TravelState
     largest_position_error: Float[Array, ""]
     finished: Bool[Array, ""]
     plan_time_use: Float[Array, ""]
@@ -38,7 +38,7 @@ def begin(start: RolloutStart) -> PlanProgress:
     return PlanProgress(travel.METRIC.begin(start), zero, jnp.asarray(False), zero + 2)
 
 
-def update(state: PlanProgress, ctx: MetricTick) -> PlanProgress:
+def update(state: PlanProgress, ctx: MetricContext) -> PlanProgress:
     """Update the travel along the planned direction, the position error, and the part of the plan that has run."""
     travelled = travel.METRIC.update(state.travel, ctx)
     given = MAX_DURATION_FACTOR * jnp.sum(ctx.plan.duration)
@@ -94,8 +94,8 @@ METRIC = Metric(
             below=True,
             known_at="end",
             is_count=True,
-            twin=ContinuousTwin("time_use", 1.0, 1 - 1 / MAX_DURATION_FACTOR),
+            twin=SmoothMarginMetric("time_use", 1.0, 1 - 1 / MAX_DURATION_FACTOR),
         ),
-        goal_cause("progress to the goal stayed below progress_min", "progress", below=True, scale=0.1),
+        make_goal_cause("progress to the goal stayed below progress_min", "progress", below=True, scale=0.1),
     ),
 )

@@ -9,7 +9,7 @@ from sweep.controllers.plan import is_guided_by_law
 from sweep.core.metric import Cause, Metric
 from sweep.core.rotations import heading, rotate
 from sweep.manoeuvres.afloat.raft_cross import PUSH, WAIT
-from sweep.metrics.tick import BodyTouchdownPoints, MetricTick, RolloutEnd, RolloutStart
+from sweep.metrics.tick import BodyTouchdownPoints, MetricContext, RolloutEnd, RolloutStart
 from sweep.models.obstacles.raft import CORNER_SIGNS, Raft
 
 
@@ -29,10 +29,10 @@ class RaftMotionExtremes(NamedTuple):
 def begin(start: RolloutStart) -> RaftMotionExtremes:
     """Return the state of the raft metrics before any foot is loaded."""
     far, zero = jnp.full((), jnp.inf, start.feet.dtype), jnp.zeros((), start.feet.dtype)
-    return RaftMotionExtremes(far, far, zero, zero, zero, zero, BodyTouchdownPoints.before_first_load(start), zero)
+    return RaftMotionExtremes(far, far, zero, zero, zero, zero, BodyTouchdownPoints.from_rollout_start(start), zero)
 
 
-def update(state: RaftMotionExtremes, ctx: MetricTick) -> RaftMotionExtremes:
+def update(state: RaftMotionExtremes, ctx: MetricContext) -> RaftMotionExtremes:
     """Update the extremes of the raft's motion, and the slip of feet on its deck."""
     raft, tick = ctx.world.obstacle, ctx.report
     assert isinstance(raft, Raft)

@@ -6,10 +6,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.metric import Cause, make_extremes_metric
-from sweep.metrics.tick import MetricTick
+from sweep.metrics.tick import MetricContext
 
 
-def shortfall_and_reserve_of_reach(ctx: MetricTick) -> Iterator[Float[Array, ""]]:
+def reach_shortfall_and_reserve(ctx: MetricContext) -> Iterator[Float[Array, ""]]:
     """Yield how far (m) a foot target is out of reach at most, and how far a leg can still stretch or fold at least."""
     robot, leg = ctx.world.robot, ctx.report.joints
     stretch = jnp.linalg.norm(leg[:, -1] - leg[:, -3], axis=-1)
@@ -19,7 +19,7 @@ def shortfall_and_reserve_of_reach(ctx: MetricTick) -> Iterator[Float[Array, ""]
 
 
 METRIC = make_extremes_metric(
-    shortfall_and_reserve_of_reach,
+    reach_shortfall_and_reserve,
     {
         "reach_shortfall_max_m": "largest distance of a foot target beyond its leg's reach",
         "reach_reserve_min_m": "smallest distance of a foot target to the limits of a leg's reach, less shortfall",

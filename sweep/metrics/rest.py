@@ -7,10 +7,10 @@ from jaxtyping import Array, Bool, Float
 
 from sweep.core.metric import Cause, Metric
 from sweep.core.rotations import matrix
-from sweep.metrics.tick import REST_DURATION_S, MetricTick, RolloutStart
+from sweep.metrics.tick import REST_DURATION_S, MetricContext, RolloutStart
 
 
-class RestDrift(NamedTuple):
+class PostPlanDrift(NamedTuple):
     """State of the rest metric: positions (m) of hips, knees and feet when the plan ended, and largest drift since."""
 
     has_plan_ended: Bool[Array, ""]
@@ -18,19 +18,19 @@ class RestDrift(NamedTuple):
     largest_drift: Float[Array, ""]
 
 
-def begin(start: RolloutStart) -> RestDrift:
+def begin(start: RolloutStart) -> PostPlanDrift:
     """Return the state of the rest metric while the plan still runs: no drift."""
     links = 3 if start.world.robot.legs == "two_link" else 4
     zero = jnp.zeros((), start.feet.dtype)
-    return RestDrift(jnp.asarray(False), jnp.zeros((6, links, 3), zero.dtype), zero)
+    return PostPlanDrift(jnp.asarray(False), jnp.zeros((6, links, 3), zero.dtype), zero)
 
 
-def update(state: RestDrift, ctx: MetricTick) -> RestDrift:
+def update(state: PostPlanDrift, ctx: MetricContext) -> PostPlanDrift:
     """Update how far hips, knees and feet have drifted since the plan ended, relative to the base's reference pose."""
     here = (ctx.report.joints - ctx.target.position) @ matrix(ctx.target.quat)
     place = jnp.where(state.has_plan_ended, state.plan_end_positions, here)
     drift = jnp.where(ctx.finished, jnp.max(jnp.linalg.norm(here - place, axis=-1)), 0.0)
-    return RestDrift(ctx.finished, place, jnp.maximum(state.largest_drift, drift))
+    return PostPlanDrift(ctx.finished, place, jnp.maximum(state.largest_drift, drift))
 
 
 METRIC = Metric(

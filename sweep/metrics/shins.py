@@ -4,12 +4,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from sweep.core.metric import Cause, Metric, make_begin_with_constants
-from sweep.metrics.tick import MetricTick
+from sweep.metrics.tick import MetricContext
 from sweep.models.geometry import shin_slope_sines
 from sweep.models.obstacles.surface import surface_at
 
 
-def update(state: Float[Array, ""], ctx: MetricTick) -> Float[Array, ""]:
+def update(state: Float[Array, ""], ctx: MetricContext) -> Float[Array, ""]:
     """Update the least sine of the angle between shin and surface, over feet that carry load."""
     tick = ctx.report
     normal = surface_at(ctx.world.obstacle, tick.joints[:, -1], tick.bodies).normal

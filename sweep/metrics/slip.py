@@ -1,6 +1,6 @@
 """Slip: distance of loaded feet from the points where they touched down."""
 
-from sweep.core.metric import Cause, LeadingMetric
+from sweep.core.metric import Cause, PrecursorMetric
 from sweep.core.shared_metrics import slip
 from sweep.models.case import Case
 from sweep.models.obstacles.ball import Ball
@@ -23,7 +23,7 @@ METRIC = slip.METRIC._replace(
             "a standing foot slipped by more than slip_max_m",
             "slip_max_m",
             None,
-            lead=LeadingMetric("edge_reserve_min_m", 0.02),
+            lead=PrecursorMetric("edge_reserve_min_m", 0.02),
             default_for=slip_threshold,
         ),
     ),

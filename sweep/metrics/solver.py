@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from sweep.core.constants import GRAVITY
 from sweep.core.metric import Cause, Metric
-from sweep.metrics.tick import MetricTick, RolloutEnd, RolloutStart
+from sweep.metrics.tick import MetricContext, RolloutEnd, RolloutStart
 from sweep.models.robot import total_mass
 
 # The bounds are from 1,500 rollouts with sizes wrong by up to 2 %, each again at half the time step: below 0.4 of the
@@ -38,7 +38,7 @@ def begin(start: RolloutStart) -> SolverValidity:
     return SolverValidity(jnp.asarray(True), zero, zero, start.energy, zero, zero, zero, zero)
 
 
-def update(state: SolverValidity, ctx: MetricTick) -> SolverValidity:
+def update(state: SolverValidity, ctx: MetricContext) -> SolverValidity:
     """Update the contact solver's residual, and the growth of energy beyond the work of drives and pushes."""
     tick, robot = ctx.report, ctx.world.robot
     weight = GRAVITY * total_mass(robot)

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from sweep.core.constants import FOOT_LOAD_THRESHOLD_N
 from sweep.core.metric import Metric, make_begin_with_constants
-from sweep.metrics.tick import FORCE_FILTER_TIME_S, MetricTick
+from sweep.metrics.tick import FORCE_FILTER_TIME_S, MetricContext
 from sweep.models.geometry import support_margin
 
 
@@ -20,7 +20,7 @@ class StabilityMargin(NamedTuple):
     least_margin: Float[Array, ""]
 
 
-def update(state: StabilityMargin, ctx: MetricTick) -> StabilityMargin:
+def update(state: StabilityMargin, ctx: MetricContext) -> StabilityMargin:
     """Update the least horizontal distance (m) from the mass centre to the border of the support polygon."""
     tick = ctx.report
     load = state.filtered_load + min(1.0, ctx.period / FORCE_FILTER_TIME_S) * (tick.normal - state.filtered_load)

@@ -19,11 +19,11 @@ from sweep.core.metric import Cause
 from sweep.core.outcomes import GOAL_MISSED
 from sweep.core.rotations import conjugate, multiply
 from sweep.core.shared_metrics.attitude import tilt_deg
-from sweep.dynamics.contacts import to_body_frame, to_world_frame
+from sweep.dynamics.contacts import transform_points_to_body, transform_points_to_world
 from sweep.estimation.belief_update import LearnedState
 from sweep.models.case import Case
 from sweep.models.legs import JOINT_KINDS
-from sweep.models.obstacles.surface import BodyPoses, FreeState, surface_at
+from sweep.models.obstacles.surface import BodyPoses, FreeBodyState, surface_at
 from sweep.models.posture import Stance
 from sweep.models.robot import total_mass
 
@@ -35,7 +35,7 @@ MAX_DURATION_FACTOR = 1.2
 FORCE_FILTER_TIME_S = 0.05
 
 
-class TickReport(NamedTuple):
+class EngineTickReport(NamedTuple):
     """An engine's report of one control tick to the metrics: foot forces, torques, poses; world axes."""
 
     torque_peak: Float[Array, "6 3"]  # N m, absolute
@@ -62,7 +62,7 @@ class RolloutStart(NamedTuple):
     position: Float[Array, " 3"]  # m, of the base
     quat: Float[Array, " 4"]
     feet: Float[Array, "6 3"]  # m, actual positions
-    free: FreeState
+    free: FreeBodyState
     energy: Float[Array, ""]  # J
     learned: LearnedState = LearnedState()
 
@@ -85,10 +85,10 @@ class RolloutStart(NamedTuple):
 
     def init_touchdown_points(self) -> "BodyTouchdownPoints":
         """Return the touchdown points of the feet before any foot is loaded."""
-        return BodyTouchdownPoints.before_first_load(self)
+        return BodyTouchdownPoints.from_rollout_start(self)
 
 
-class MetricTick(NamedTuple):
+class MetricContext(NamedTuple):
     """State, commands and engine's report of the control tick that has just passed, from which metrics are updated."""
 
     world: Case
@@ -100,7 +100,7 @@ class MetricTick(NamedTuple):
     target: Stance  # that the tracker commanded
     reference: Stance  # `target` with the base where exact sensors would have it: the true command, see `Command`
     shortfall: Float[Array, ""]  # m, of targets beyond the legs' reach
-    report: TickReport
+    report: EngineTickReport
     period: float  # s, of a tick
     time: Float[Array, ""]  # s, at its end
     learned: LearnedState = LearnedState()
@@ -159,7 +159,7 @@ class MetricTick(NamedTuple):
         return jnp.where(moving, step, 0.0), jnp.where(moving, self.period, 0.0)
 
 
-def remaining_plan_time(ctx: MetricTick) -> Float[Array, ""]:
+def remaining_plan_time(ctx: MetricContext) -> Float[Array, ""]:
     """Return the remaining duration of the plan (s), given that stages may have ended early."""
     duration = ctx.plan.duration
     later = jnp.sum(jnp.where(jnp.arange(len(duration)) > ctx.stage, duration, 0.0))
@@ -177,12 +177,12 @@ class BodyTouchdownPoints(NamedTuple):
     is_holding: Bool[Array, " 6"]
 
     @classmethod
-    def before_first_load(cls, start: RolloutStart) -> "BodyTouchdownPoints":
+    def from_rollout_start(cls, start: RolloutStart) -> "BodyTouchdownPoints":
         """Return the touchdown points of feet that have carried no load yet."""
         body = jnp.full(6, -1, jnp.int32) if len(start.free.position) else None
         return cls(jnp.zeros_like(start.feet), body, jnp.zeros(6, bool))
 
-    def update(self, ctx: MetricTick) -> tuple["BodyTouchdownPoints", Float[Array, " 6"]]:
+    def update(self, ctx: MetricContext) -> tuple["BodyTouchdownPoints", Float[Array, " 6"]]:
         """Return the touchdown points after a tick, and the distance (m) of each loaded foot from its point.
 
         A foot takes hold at its actual position when it is first loaded: after the start, or in the second half of a
@@ -195,20 +195,20 @@ class BodyTouchdownPoints(NamedTuple):
         held = holds & self.is_holding
         here = surface_at(ctx.world.obstacle, feet, tick.bodies).body.astype(jnp.int32)
         body = here if self.body is None else jnp.where(held, self.body, here)
-        place = jnp.where(held[:, None], self.positions, to_body_frame(feet, body, tick.bodies))
-        way = jnp.linalg.norm(feet - to_world_frame(place, body, tick.bodies), axis=-1)
+        place = jnp.where(held[:, None], self.positions, transform_points_to_body(feet, body, tick.bodies))
+        way = jnp.linalg.norm(feet - transform_points_to_world(place, body, tick.bodies), axis=-1)
         return BodyTouchdownPoints(place, None if self.body is None else body, holds), jnp.where(
             holds & tick.actual.loaded, way, 0.0
         )
 
 
-class FinalInterval(NamedTuple):
+class FinalIntervalStart(NamedTuple):
     """Positions (m) and time (s) at the start of the plan's last seconds, over which mean velocities are computed."""
 
     positions: Float[Array, "*k 3"]
     time: Float[Array, ""]
 
-    def update(self, ctx: MetricTick, place: Float[Array, "*k 3"], length: float) -> "FinalInterval":
+    def update(self, ctx: MetricContext, place: Float[Array, "*k 3"], length: float) -> "FinalIntervalStart":
         """Replace the stored positions and time until the last `length` seconds of the plan begin.
 
         Args:
@@ -217,7 +217,7 @@ class FinalInterval(NamedTuple):
             length: Duration of the last part (s).
         """
         before = remaining_plan_time(ctx) > length
-        return FinalInterval(jnp.where(before, place, self.positions), jnp.where(before, ctx.time, self.time))
+        return FinalIntervalStart(jnp.where(before, place, self.positions), jnp.where(before, ctx.time, self.time))
 
     def mean_velocity(self, place: Float[Array, "*k 3"], time: Array) -> Float[Array, "*k 3"]:
         """Return the mean velocity (m/s) over the plan's last seconds, up to positions `place` (m) at `time` (s)."""
@@ -242,12 +242,12 @@ class RolloutEnd(NamedTuple):
         """Return a sum over ticks unchanged as the integral over time, since engines report integrals of each tick."""
         return total
 
-    def displacement_along(self, displacement: Array) -> Array:
+    def displacement_along_command(self, displacement: Array) -> Array:
         """Raise an error: a displacement along the planned direction is undefined, as that changes between stages."""
         raise NotImplementedError
 
 
-def goal_cause(sentence: str, metric: str, **options: Any) -> Cause:
+def make_goal_cause(sentence: str, metric: str, **options: Any) -> Cause:
     """Make a cause of failure for one condition of the manoeuvre's goal, checked when the rollout ends.
 
     Args:

@@ -9,7 +9,14 @@ from jaxtyping import Array, Bool, Float
 from sweep.controllers.plan import is_guided_by_law
 from sweep.core.metric import Metric
 from sweep.manoeuvres.balancing.ball_to_ball import OVER
-from sweep.metrics.tick import REST_DURATION_S, FinalInterval, MetricTick, RolloutEnd, RolloutStart, goal_cause
+from sweep.metrics.tick import (
+    REST_DURATION_S,
+    FinalIntervalStart,
+    MetricContext,
+    RolloutEnd,
+    RolloutStart,
+    make_goal_cause,
+)
 from sweep.models.obstacles.two_balls import TwoBalls
 
 TOUCHING_GAP_M = 4e-3  # m, between balls that touch
@@ -22,17 +29,17 @@ class BallMeeting(NamedTuple):
     meeting_speed: Float[Array, ""]
     largest_gap: Float[Array, ""]
     second_ball_position: Float[Array, " 3"]
-    second_ball_at_plan_end: FinalInterval
+    second_ball_at_plan_end: FinalIntervalStart
 
 
 def begin(start: RolloutStart) -> BallMeeting:
     """Return the state of the two-ball metrics before the balls meet."""
     place = start.free.position[1]
     zero = jnp.zeros((), place.dtype)
-    return BallMeeting(jnp.zeros((), bool), zero, zero, place, FinalInterval(place, zero))
+    return BallMeeting(jnp.zeros((), bool), zero, zero, place, FinalIntervalStart(place, zero))
 
 
-def update(state: BallMeeting, ctx: MetricTick) -> BallMeeting:
+def update(state: BallMeeting, ctx: MetricContext) -> BallMeeting:
     """Update gaps (m) and speeds (m/s) of the two balls, and record their first contact."""
     balls, free = ctx.world.obstacle, ctx.report.actual.free
     assert isinstance(balls, TwoBalls)
@@ -47,7 +54,7 @@ def update(state: BallMeeting, ctx: MetricTick) -> BallMeeting:
         second_ball_at_plan_end=jax.tree.map(
             lambda a, b: jnp.where(ctx.finished, a, b),
             state.second_ball_at_plan_end,
-            FinalInterval(free.position[1], ctx.time),
+            FinalIntervalStart(free.position[1], ctx.time),
         ),
     )
 
@@ -76,6 +83,6 @@ METRIC = Metric(
         "second_ball_y_m": "final y coordinate of the second ball, world axes",
         "second_ball_speed_mps": f"mean speed of the second ball in the {REST_DURATION_S:g} s after the plan",
     },
-    (goal_cause("the second ball ended faster than second_ball_speed_max_mps", "second_ball_speed_mps"),),
+    (make_goal_cause("the second ball ended faster than second_ball_speed_max_mps", "second_ball_speed_mps"),),
     applies=lambda case: isinstance(case.obstacle, TwoBalls),
 )

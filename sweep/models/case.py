@@ -44,7 +44,7 @@ class Manoeuvre:
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Set the fields that follow from the methods of the class."""
         super().__init_subclass__(**kwargs)
-        complete_manoeuvre(cls)
+        complete_manoeuvre_class(cls)
 
     def plan(self, belief: "Case") -> Any:
         """Make the plan of motion from what the robot believes of robot and obstacle; JAX traces this function.
@@ -78,7 +78,7 @@ class Manoeuvre:
 DERIVED_FIELDS = {"is_guided": "guide", "ends_stages": "is_stage_over", "drives_body": "obstacle_speed"}  # from methods
 
 
-def complete_manoeuvre(cls: type) -> None:
+def complete_manoeuvre_class(cls: type) -> None:
     """Set the class attributes of a manoeuvre class that follow from its methods.
 
     A class of a user module that does not inherit from `Manoeuvre` gets its other members as well.

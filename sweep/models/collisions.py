@@ -12,7 +12,7 @@ from sweep.models.case import Case
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.geoms import COLLISION_GROUP, STIFF_CONTACT
 from sweep.models.obstacles.surface import identity_poses
-from sweep.models.robot import FOOT_LENGTH, PIN_RADIUS, forbidden_half_size
+from sweep.models.robot import FOOT_LENGTH, PIN_RADIUS, leg_keepout_half_size
 
 INNER_BASE_NAME = "inner_base"  # what legs meet of their own base
 OBSTACLE_COLLISION_BIT, SHIN_COLLISION_BIT, LEG_COLLISION_BIT = (
@@ -40,7 +40,7 @@ def enable_collisions(spec: mujoco.MjSpec, case: Case, links: tuple[str, ...]) -
     spec.body("base").add_geom(
         name=INNER_BASE_NAME,
         type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=np.asarray(forbidden_half_size(case.robot)),
+        size=np.asarray(leg_keepout_half_size(case.robot)),
         mass=0.0,
         group=COLLISION_GROUP,
         rgba=[0, 0, 0, 0],

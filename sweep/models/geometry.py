@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from sweep.models.obstacles.surface import BodyPoses, Obstacle, surface_at
-from sweep.models.robot import FOOT_LENGTH, PIN_RADIUS, Robot, forbidden_half_size
-from sweep.models.solids import Solid, distance_from_box, distance_to_segments
+from sweep.models.robot import FOOT_LENGTH, PIN_RADIUS, Robot, leg_keepout_half_size
+from sweep.models.solids import Solid, distance_to_segments, signed_box_distance
 
 BISECTION_STEPS = 8  # a segment of 0.4 m is searched to 1 mm
 EDGE_SEARCH_RADIUS_M = 0.05  # m, how far from a foot edges are looked for
@@ -48,7 +48,7 @@ def support_margin(feet: Float[Array, "n 2"], standing: Bool[Array, " n"], point
     return jnp.min(jnp.where(border, left_of(point), jnp.inf))
 
 
-def edge_distance(obstacle: Obstacle, feet: Float[Array, "n 3"], bodies: BodyPoses) -> Float[Array, " n"]:
+def foot_edge_distance(obstacle: Obstacle, feet: Float[Array, "n 3"], bodies: BodyPoses) -> Float[Array, " n"]:
     """Return the distance (m) of each foot from the edge of the obstacle's face on which it stands.
 
     It probes the depth of the obstacle under each foot, so that it is at most `EDGE_SEARCH_RADIUS_M` and half the local
@@ -99,7 +99,7 @@ def segment_box_distance(
     for _ in range(BISECTION_STEPS):
         slope = sum(_out(p + share * u, h) * u for p, u, h in zip(start, along, half, strict=True))
         share, step = share - step * jnp.sign(slope), step / 2
-    return distance_from_box((start + share * along).T, half)
+    return signed_box_distance((start + share * along).T, half)
 
 
 def _out(x: Array, half: Array) -> Array:
@@ -198,7 +198,7 @@ def leg_base_gap(
     points = (joints[:, -3:] - centre) @ rotation
     points = points.at[:, 0].set(_point_along(points[:, 0], points[:, 1], robot.hip_clearance + robot.link_radius))
     to_base = jax.vmap(segment_box_distance, (0, 0, None))
-    return jnp.min(to_base(points[:, :-1], points[:, 1:], forbidden_half_size(robot))) - robot.link_radius
+    return jnp.min(to_base(points[:, :-1], points[:, 1:], leg_keepout_half_size(robot))) - robot.link_radius
 
 
 def thigh_shin_gap(joints: Float[Array, "6 k 3"], clearance: Array | float) -> Float[Array, ""]:

@@ -26,7 +26,7 @@ class PlanTable:
     paths: tuple[str, ...] = dataclasses.field(default=(), metadata={"static": True})  # of numbers that are changed
     values: tuple[Array | float, ...] = ()
 
-    def with_value(self, path: str, value: Any, formulas: Mapping[str, float] | None = None) -> "PlanTable":
+    def replace_number(self, path: str, value: Any, formulas: Mapping[str, float] | None = None) -> "PlanTable":
         """Return a copy of the plan's numbers in which the one at `path` has another value.
 
         Args:
@@ -36,14 +36,16 @@ class PlanTable:
         """
         if formulas and path in formulas:
             path, value = INCREMENT_PREFIX + path, value - formulas[path]
-        changes = self.changes | {path: value}
+        changes = self.changed_numbers | {path: value}
         return dataclasses.replace(self, paths=tuple(changes), values=tuple(changes.values()))
 
-    def with_increment(self, path: str, increment: Any) -> "PlanTable":
+    def increment_number(self, path: str, increment: Any) -> "PlanTable":
         """Return a copy of the plan's numbers with `increment` added to the one at `path`, on top of earlier ones."""
-        return self.with_value(INCREMENT_PREFIX + path, self.changes.get(INCREMENT_PREFIX + path, 0.0) + increment)
+        return self.replace_number(
+            INCREMENT_PREFIX + path, self.changed_numbers.get(INCREMENT_PREFIX + path, 0.0) + increment
+        )
 
     @property
-    def changes(self) -> dict[str, Any]:
+    def changed_numbers(self) -> dict[str, Any]:
         """Changed numbers of the plan, by path."""
         return dict(zip(self.paths, self.values, strict=True))

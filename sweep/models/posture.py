@@ -7,7 +7,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.rotations import conjugate, exponential, rotate
-from sweep.formulas.leg import SIDE_BY_LEG, circular_mounts, forward_kinematics, inverse_kinematics, rectangular_mounts
+from sweep.formulas.leg import (
+    SIDE_BY_LEG,
+    circular_hip_positions,
+    forward_kinematics,
+    inverse_kinematics,
+    rectangular_hip_positions,
+)
 from sweep.models.robot import Robot
 
 
@@ -29,9 +35,9 @@ class LegMounts(NamedTuple):
 def leg_mounts(robot: Robot) -> LegMounts:
     """Return hip positions of legs 1 to 6 and the yaw of their axes: monograph 1.1, (1.1.5)."""
     hips = (
-        circular_mounts(robot.mount_radius)
+        circular_hip_positions(robot.mount_radius)
         if robot.mounts == "circle"
-        else rectangular_mounts(robot.body_length, robot.body_width)
+        else rectangular_hip_positions(robot.body_length, robot.body_width)
     )
     if robot.leg_axes == "sides":
         return LegMounts(hips, np.zeros(6))
@@ -67,7 +73,7 @@ def foot_positions(robot: Robot, angles: Float[Array, "6 3"]) -> Float[Array, "6
     return _points(robot, angles, robot.thigh, robot.shin)
 
 
-def leg_points(robot: Robot, angles: Float[Array, "6 3"]) -> Float[Array, "6 k 3"]:
+def leg_joint_positions(robot: Robot, angles: Float[Array, "6 3"]) -> Float[Array, "6 k 3"]:
     """Return the joints of each leg (m, base axes): hip, end of the coxa if there is one, knee, foot.
 
     Args:

@@ -46,7 +46,7 @@ def base_half_size(robot: Robot) -> Float[Array, " 3"]:
     return 0.5 * jnp.stack([jnp.asarray(s, float) for s in (robot.body_length, robot.body_width, robot.body_height)])
 
 
-def forbidden_half_size(robot: Robot) -> Float[Array, " 3"]:
+def leg_keepout_half_size(robot: Robot) -> Float[Array, " 3"]:
     """Return half sizes (m) of the box that legs must not enter: the base, less a margin through which thighs sweep.
 
     Hips lie on the sides of the base. Between the hips the sides stand back by a link's radius, so that a thigh which

@@ -243,7 +243,7 @@ def _add_leg(
         )
 
 
-def native_model(case: Case, time_step: float, solid: bool = False) -> mujoco.MjModel:
+def compile_native_model(case: Case, time_step: float, solid: bool = False) -> mujoco.MjModel:
     """Compile the MuJoCo model for the native engine (C MuJoCo).
 
     Args:
@@ -251,10 +251,10 @@ def native_model(case: Case, time_step: float, solid: bool = False) -> mujoco.Mj
         time_step: Physics step (s).
         solid: Whether links and base collide, too, not only feet.
     """
-    return native_spec(case, time_step, solid).compile()
+    return build_native_spec(case, time_step, solid).compile()
 
 
-def native_spec(case: Case, time_step: float, solid: bool = False) -> mujoco.MjSpec:
+def build_native_spec(case: Case, time_step: float, solid: bool = False) -> mujoco.MjSpec:
     """Build the MuJoCo spec of the native engine (C MuJoCo), with contacts, servos of (1.2.1) and foot force sensors.
 
     The settings hold a stiff robot still: elliptic cones, impratio 100, stiff contact.

@@ -150,7 +150,7 @@ class Sphere:
 
     def box_distance(self, centre: Array, rotation: Array, half: Array) -> Array:
         """Return the signed distance (m) from the sphere to a box: centre to nearest point, less the radius."""
-        return distance_from_box((_vector(self.centre, centre.dtype) - centre) @ rotation, half) - self.radius
+        return signed_box_distance((_vector(self.centre, centre.dtype) - centre) @ rotation, half) - self.radius
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,7 +179,7 @@ class _Convex(ABC):
     def face_normals(self, dtype: Any) -> Float[Array, "k 3"]:
         """Return the normals of the solid's flat faces, one of each parallel pair."""
 
-    def curved_normals(self, points: Float[Array, "n 3"]) -> list[Array]:
+    def curved_face_normals(self, points: Float[Array, "n 3"]) -> list[Array]:
         """Return the normals (n, 3) of the solid's curved face towards points."""
         return []
 
@@ -196,13 +196,13 @@ class _Convex(ABC):
     def segment_distance(self, a: Array, b: Array) -> Array:
         """Return signed distances (m) to the segments from `a` to `b`; a negative one is a depth of overlap."""
         a, b = self.to_solid_frame(a), self.to_solid_frame(b)
-        at, apart = minimize_along(self.signed_distance, a, b)
+        at, apart = minimize_along_segments(self.signed_distance, a, b)
         along = (b - a) / _length(b - a)[:, None]
         axes = jnp.stack(
             [
                 *[jnp.broadcast_to(plane, a.shape) for plane in self.face_normals(a.dtype)],
-                *self.curved_normals(a),
-                *self.curved_normals(b),
+                *self.curved_face_normals(a),
+                *self.curved_face_normals(b),
                 *self.edge_cross_axes(along, at),
             ]
         )
@@ -217,15 +217,15 @@ class _Convex(ABC):
         rotation = rotation if self.rotation is None else self.rotation.T @ rotation
         corners = box_corners(centre, rotation, half)
         edges = (centre + (CORNER_SIGNS[k].astype(half.dtype) * half) @ rotation.T for k in (EDGE_STARTS, EDGE_ENDS))
-        at, from_edges = jax.vmap(partial(minimize_along, self.signed_distance))(*edges)
-        from_tips = distance_from_box((self.support_points(rotation.T) - centre) @ rotation, half)
+        at, from_edges = jax.vmap(partial(minimize_along_segments, self.signed_distance))(*edges)
+        from_tips = signed_box_distance((self.support_points(rotation.T) - centre) @ rotation, half)
         apart = jnp.minimum(jnp.min(from_edges), jnp.min(from_tips))
         nearest = jnp.argmin(from_edges.reshape(3, 4), axis=1)  # of the edges along each axis
         at = jnp.take_along_axis(at.reshape(3, 4, 3), nearest[:, None, None], axis=1)[:, 0]
         axes = [
             rotation.T,
             self.face_normals(centre.dtype),
-            *self.curved_normals(corners),
+            *self.curved_face_normals(corners),
             *self.edge_cross_axes(rotation.T, at),
         ]
         axes = jnp.concatenate(axes)
@@ -248,7 +248,7 @@ class Box(_Convex):
 
     def signed_distance(self, points: Array) -> Array:
         """Return the signed distance (m) from the box to points (m, box axes)."""
-        return distance_from_box(points, _vector(self.half, points.dtype))
+        return signed_box_distance(points, _vector(self.half, points.dtype))
 
     def extent(self, axes: Array) -> tuple[Array, Array]:
         """Return the extents (m) of the box from its centre along given axes and against them, which are equal."""
@@ -293,7 +293,7 @@ class Cylinder(_Convex):
         """Return the cylinder's axis, the normal of its end faces."""
         return jnp.eye(3, dtype=dtype)[2:]
 
-    def curved_normals(self, points: Array) -> list[Array]:
+    def curved_face_normals(self, points: Array) -> list[Array]:
         """Return radial directions of the cylinder towards points."""
         return [points * np.array([1, 1, 0], points.dtype)]
 
@@ -368,7 +368,7 @@ class Prism(_Convex):
         return corners, side / length[:, None], length
 
 
-def minimize_along(
+def minimize_along_segments(
     signed_distance: Callable[[Array], Array], a: Float[Array, "n 3"], b: Float[Array, "n 3"]
 ) -> tuple[Float[Array, "n 3"], Float[Array, " n"]]:
     """Minimize a signed distance along segments by golden-section search; it must be convex along each segment.
@@ -412,7 +412,7 @@ def _extruded_distance(aside: Array, above: Array) -> Array:
     return jnp.where(most > 0, jnp.sqrt(jnp.maximum(aside, 0.0) ** 2 + jnp.maximum(above, 0.0) ** 2 + MIN_SQUARE), most)
 
 
-def distance_from_box(points: Float[Array, "*n 3"], half: Float[Array, " 3"]) -> Float[Array, "*n"]:
+def signed_box_distance(points: Float[Array, "*n 3"], half: Float[Array, " 3"]) -> Float[Array, "*n"]:
     """Return the signed distance of points to a box about the origin, in the box's axes.
 
     Args:

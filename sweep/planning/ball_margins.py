@@ -13,10 +13,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from sweep.controllers import tracker
 from sweep.controllers.ball_state import UP
-from sweep.controllers.frames import to_frame, to_world
+from sweep.controllers.frames import points_to_frame, points_to_world
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import MEASURED, Plan
-from sweep.controllers.reference_body_motion import ReferenceBodyMotion
+from sweep.controllers.reference_body_motion import FreeBodyReferenceMotion
 from sweep.controllers.tracker import TrackerState
 from sweep.core.constants import GRAVITY
 from sweep.core.rotations import exponential, multiply, rotate, wrap_angle
@@ -25,10 +25,10 @@ from sweep.models.case import Case
 from sweep.models.frames import WORLD_FRAME, body_frame_number
 from sweep.models.geometry import support_margin
 from sweep.models.obstacles.ball import Ball
-from sweep.models.obstacles.surface import FreeState, body_poses, free_start_state, surface_at
+from sweep.models.obstacles.surface import FreeBodyState, body_poses, free_start_state, surface_at
 from sweep.models.posture import Stance, joint_targets, mass_centre
 from sweep.models.robot import total_mass
-from sweep.planning.kinematic_margins import PoseMargins, SwingFeet, stance_margins
+from sweep.planning.kinematic_margins import PoseMargins, SwingEndpoints, stance_margins
 
 SMOOTHING_TIME = 0.2  # s, over which the mass centre's path is averaged
 # s before the end of a stage at which a tick ends, so that feet begin the next stage where they are at the end
@@ -40,7 +40,7 @@ class KinematicPlayback(NamedTuple):
 
     stage: Int[Array, " t"]
     margins: PoseMargins
-    free: FreeState
+    free: FreeBodyState
     stance: Stance
     stands: Bool[Array, "t 6"]
     centre: Float[Array, "t 3"]  # m, the robot's mass centre
@@ -63,7 +63,7 @@ class BallRoll(NamedTuple):
     centre: Float[Array, " 3"]  # m
 
 
-def play_plan(case: Case, plan: Plan, period: float, ticks: int) -> KinematicPlayback:
+def play_plan_kinematically(case: Case, plan: Plan, period: float, ticks: int) -> KinematicPlayback:
     """Run a plan on a ball through the tracker with exact sensors and without physics.
 
     Args:
@@ -98,16 +98,16 @@ def play_plan(case: Case, plan: Plan, period: float, ticks: int) -> KinematicPla
         h = jnp.where((remains > 2 * END_OFFSET) & (remains <= period + END_OFFSET), remains - END_OFFSET, period)
         state, command = tracker.step(case, plan, state, observation, cast(float, h))
         position, quat = command.target.position, command.target.quat
-        stage, free = state.stage, tracker.reference_body_state(plan, state, observation.free)[0]
+        stage, free = state.stage, tracker.stage_free_body_reference(plan, state, observation.free)[0]
         swings = plan.swing[stage]
         contacts = jax.tree.map(lambda a, b: jnp.where(swings.reshape(-1, *[1] * (a.ndim - 1)), a, b),
                              _contacts_at(case, command.target.feet, free), contacts)  # fmt: skip
-        feet = to_world(contacts.feet, contacts.frame, free)
+        feet = points_to_world(contacts.feet, contacts.frame, free)
         joints = joint_targets(case.robot, command.target._replace(feet=feet))[0]
         goal = state.goal if case.manoeuvre.is_guided else plan.foothold[stage]
-        starts, goal = (to_world(at, plan.foot_frame[stage], free) for at in (state.feet, goal))
+        starts, goal = (points_to_world(at, plan.foot_frame[stage], free) for at in (state.feet, goal))
         rates = wrap_angle(joints - observation.angles) / h
-        swing = SwingFeet(swings, starts, goal)
+        swing = SwingEndpoints(swings, starts, goal)
         margins = stance_margins(case, body_poses(free), command.target, joints, rates, command.shortfall, swing)
         on_floor = jnp.any(~swings & (contacts.frame == WORLD_FRAME))
         centre = position + rotate(quat, mass_centre(case.robot, joints))
@@ -123,11 +123,11 @@ def play_plan(case: Case, plan: Plan, period: float, ticks: int) -> KinematicPla
     return played
 
 
-def _contacts_at(case: Case, feet: Float[Array, "6 3"], free: FreeState) -> FootContacts:
+def _contacts_at(case: Case, feet: Float[Array, "6 3"], free: FreeBodyState) -> FootContacts:
     """Contacts of feet (m, world axes) with the surface nearest to each."""
     body = surface_at(case.obstacle, feet, body_poses(free)).body
     frame = jnp.array([WORLD_FRAME, *map(body_frame_number, range(len(case.obstacle.free_bodies)))])[body + 1]
-    return FootContacts(to_frame(feet, frame, free), frame)
+    return FootContacts(points_to_frame(feet, frame, free), frame)
 
 
 def _roll_ball(
@@ -135,17 +135,17 @@ def _roll_ball(
     plan: Plan,
     state: TrackerState,
     roll: BallRoll,
-    free: FreeState,
+    free: FreeBodyState,
     centre: Array,
     on_floor: Array,
     h: Array,
-) -> tuple[BallRoll, FreeState]:
+) -> tuple[BallRoll, FreeBodyState]:
     """Roll the ball for `h` s, with the robot's mass centre at `centre` (m) from the ball's centre.
 
     K = up x k, k = 7/5 M R v + m ((z + R)(v + u) - x u_z), where the mass centre moves by u over the ball and lies x
     ahead and z above; k changes by m (g x + u_z v).
     """
-    body_motion, follows = plan.find_layer(ReferenceBodyMotion), jnp.asarray(True)
+    body_motion, follows = plan.find_layer(FreeBodyReferenceMotion), jnp.asarray(True)
     if body_motion is not None:
         follows = jnp.asarray(body_motion.support.mode)[state.stage, 0] == MEASURED
     assert isinstance(case.obstacle, Ball)
@@ -163,7 +163,7 @@ def _roll_ball(
     turn = jnp.cross(jnp.asarray(UP), velocity) / ball.radius
     moved = jnp.where(follows, h * velocity, 0.0)
     turned = jnp.where(follows, h * turn, 0.0)
-    next_free = FreeState(
+    next_free = FreeBodyState(
         free.position + moved, multiply(exponential(turned)[None], free.quat), velocity[None], turn[None]
     )
     return BallRoll(inertia * v + own, centre), next_free

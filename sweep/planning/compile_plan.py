@@ -6,20 +6,20 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from sweep.controllers.flywheel import Flywheel, FlywheelGains
+from sweep.controllers.flywheel import FlywheelGains, MiddleLegFlywheel
 from sweep.controllers.frames import stance_to_frame, stance_to_world
-from sweep.controllers.layers import GradualFootholds, HeldLegs
+from sweep.controllers.layers import GradualFootholds, JointSpaceLegs
 from sweep.controllers.plan import BasePaths, Plan, Stage, SupportMotion, SwingCurves
-from sweep.controllers.reference_body_motion import ReferenceBodyMotion
+from sweep.controllers.reference_body_motion import FreeBodyReferenceMotion
 from sweep.core.rotations import exponential, multiply
 from sweep.models.legs import LEGS
-from sweep.models.obstacles.surface import FreeState
+from sweep.models.obstacles.surface import FreeBodyState
 from sweep.models.posture import Stance
 
 
 def compile_plan(
     start: Stance, stages: Sequence[Stage], patience: Array | float, gains: FlywheelGains | None = None,
-    steered: bool = False, ease: Array | float | None = None, free: FreeState | None = None, afloat: bool = False,
+    steered: bool = False, ease: Array | float | None = None, free: FreeBodyState | None = None, afloat: bool = False,
 ) -> Plan:  # fmt: skip
     """Compile a list of stages into a plan, the arrays that the tracker follows.
 
@@ -80,9 +80,9 @@ def compile_plan(
                 layers=tuple(layer for layer in layers if layer is not None), **table)  # fmt: skip
 
 
-def _flywheel(stages: Sequence[Stage], gains: FlywheelGains | None) -> Flywheel | None:
+def _flywheel(stages: Sequence[Stage], gains: FlywheelGains | None) -> MiddleLegFlywheel | None:
     mode = jnp.array([stage.flywheel for stage in stages], jnp.int32)
-    return None if gains is None else Flywheel(mode, jax.tree.map(lambda x: jnp.asarray(x, float), gains))
+    return None if gains is None else MiddleLegFlywheel(mode, jax.tree.map(lambda x: jnp.asarray(x, float), gains))
 
 
 def _moves_frames(before: Stage, stage: Stage) -> bool:
@@ -91,7 +91,7 @@ def _moves_frames(before: Stage, stage: Stage) -> bool:
     return before.base_frame != stage.base_frame or any(a != b and leg not in stage.swing for leg, a, b in feet)
 
 
-def _body_motion(stages: Sequence[Stage], afloat: bool) -> ReferenceBodyMotion | None:
+def _body_motion(stages: Sequence[Stage], afloat: bool) -> FreeBodyReferenceMotion | None:
     """Layer of the free bodies' reference motion; None if no stage has one."""
     count = max(len(stage.support) for stage in stages)
     if not count:
@@ -102,10 +102,10 @@ def _body_motion(stages: Sequence[Stage], afloat: bool) -> ReferenceBodyMotion |
     ]
     support = jax.tree.map(lambda *leaves: jnp.stack(leaves).reshape(len(rows), count, *leaves[0].shape),
                            *[each for row in rows for each in row])  # fmt: skip
-    return ReferenceBodyMotion(support, afloat)
+    return FreeBodyReferenceMotion(support, afloat)
 
 
-def _held_legs(stages: Sequence[Stage]) -> HeldLegs | None:
+def _held_legs(stages: Sequence[Stage]) -> JointSpaceLegs | None:
     """Layer of the legs that hold joint angles; None if no stage has a posture."""
     if not any(stage.posture for stage in stages):
         return None
@@ -117,4 +117,4 @@ def _held_legs(stages: Sequence[Stage]) -> HeldLegs | None:
         held.append([leg in holding for leg in LEGS])
         joints.append(angles)
         holding = holding - set(stage.swing)
-    return HeldLegs(jnp.array(held), jnp.stack(joints))
+    return JointSpaceLegs(jnp.array(held), jnp.stack(joints))

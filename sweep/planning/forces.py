@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.frames import stance_to_world, surface_under
+from sweep.controllers.frames import stance_to_world, surface_under_feet
 from sweep.controllers.layers import ForceFeedforward
 from sweep.controllers.plan import Plan, Stage, reference_stance, stage_start_pose
 from sweep.core.constants import GRAVITY
@@ -70,7 +70,7 @@ class ForceProblem(NamedTuple):
     bounds: ForceBounds
 
 
-class SearchState(NamedTuple):
+class ForceSearchState(NamedTuple):
     """State of the search for foot forces after a Newton step."""
 
     force: Float[Array, "6 3"]  # in weights
@@ -133,10 +133,10 @@ def distribute_forces(pose: ForcePlanningPose, bounds: ForceBounds, least: Effor
         least: effort to minimise.
     """
     problem = ForceProblem(pose, ForceBounds(*(jnp.asarray(b, float) for b in bounds)))
-    return evaluate_forces(pose, force_search(least)(jax.tree.map(lambda x: x[None], problem))[0])
+    return evaluate_forces(pose, make_force_search(least)(jax.tree.map(lambda x: x[None], problem))[0])
 
 
-def force_search(least: Effort) -> Callable[[ForceProblem], Float[Array, "n 6 3"]]:
+def make_force_search(least: Effort) -> Callable[[ForceProblem], Float[Array, "n 6 3"]]:
     """Return a function that finds balanced foot forces, in units of the robot's weight, for n poses at once.
 
     In a traced program it is a single operation with a name from `SEARCHES`, so that the package's own compiler can
@@ -157,7 +157,9 @@ def _make_search(least: Effort) -> Callable[[ForceProblem], Float[Array, "n 6 3"
     return jax.jit(search)
 
 
-def search_step(least: Effort, problem: ForceProblem, search: SearchState, number: Int[Array, ""]) -> SearchState:
+def force_search_step(
+    least: Effort, problem: ForceProblem, search: ForceSearchState, number: Int[Array, ""]
+) -> ForceSearchState:
     """Run one Newton step of the search for foot forces in a single pose.
 
     Args:
@@ -302,18 +304,18 @@ class _SearchTask(NamedTuple):
         return cls(scaled, each, jnp.asarray(bounds.slack / MIN_SLACK, scaled.normal.dtype))
 
     @property
-    def initial_state(self) -> SearchState:
+    def initial_state(self) -> ForceSearchState:
         """Return the state of the search before its first step."""
-        return SearchState(jnp.zeros_like(self.scaled.normal), jnp.zeros_like(self.scaled.stands))
+        return ForceSearchState(jnp.zeros_like(self.scaled.normal), jnp.zeros_like(self.scaled.stands))
 
-    def step(self, search: SearchState, number: Array, least: Effort) -> SearchState:
+    def step(self, search: ForceSearchState, number: Array, least: Effort) -> ForceSearchState:
         """Return the state of the search after a Newton step."""
         force = jnp.where(number == 0, self.scaled.initial_forces(self.bounds), search.force)
         slack = jnp.asarray(SLACK, force.dtype)[number] * self.slack
         above = (1 + slack) * jnp.max(self.scaled.effort(force, least))
         level = jnp.where(number % 2 == 0, jnp.minimum(above, getattr(self.bounds, _BOUND[least])), search.level)
         lower = self.bounds._replace(**{_BOUND[least]: level})
-        return SearchState(self.scaled.newton_step(force, lower, least), level)
+        return ForceSearchState(self.scaled.newton_step(force, lower, least), level)
 
 
 _SEARCH_BY_EFFORT: dict[Effort, Callable[[ForceProblem], Array]] = {least: _make_search(least) for least in _BOUND}
@@ -340,7 +342,7 @@ def planned_pose(belief: Case, plan: Plan, stage: Int[Array, ""], u: Float[Array
     free, frames = free_start_state(belief.obstacle), (plan.foot_frame[stage], plan.base_frame[stage])
     feet, position = stage_start_pose(plan, stage, free)
     stance = stance_to_world(reference_stance(plan, stage, u, feet, position), *frames, free)
-    normal = surface_under(belief.obstacle, feet, plan.foot_frame[stage]).normal
+    normal = surface_under_feet(belief.obstacle, feet, plan.foot_frame[stage]).normal
     return force_planning_pose(belief.robot, stance, normal, ~plan.swing[stage])
 
 
@@ -365,7 +367,7 @@ def plan_forces(belief: Case, plan: Plan, bounds: ForceBounds, least: Effort) ->
     every_bounds = jax.tree.map(
         lambda b: jnp.broadcast_to(jnp.asarray(b, float), (stages * KNOTS, *jnp.shape(b))), bounds
     )
-    optima = jax.vmap(evaluate_forces)(poses, force_search(least)(ForceProblem(poses, every_bounds)))
+    optima = jax.vmap(evaluate_forces)(poses, make_force_search(least)(ForceProblem(poses, every_bounds)))
     poses, planned = jax.tree.map(lambda x: x.reshape(stages, KNOTS, *x.shape[1:]), (poses, optima))
     force = planned.force
     before = jnp.concatenate([force[:1, 0], force[:-1, -1]])[:, None]
@@ -395,7 +397,7 @@ class PlannedForces(Manoeuvre):
     creep: float = quantity(0.0125, "m/s", at_least=0)  # speed at which a foot that missed the surface moves on into it
     anchoring: float = quantity(0.01, "s", above=0)  # time constant with which footholds follow the measured feet
 
-    def with_load_transfer(self, stages: Sequence[Stage]) -> list[Stage]:
+    def insert_load_transfers(self, stages: Sequence[Stage]) -> list[Stage]:
         """Return the stages with a rest before each, in which the feet that swing next are unloaded.
 
         A rest is in the frames of the stage before it.
@@ -420,7 +422,7 @@ class PlannedForces(Manoeuvre):
         """
         return plan_forces(belief, plan, self.force_bounds(belief), cast(Effort, self.effort))
 
-    def with_feedforward(self, belief: Case, plan: Plan) -> Plan:
+    def add_force_feedforward(self, belief: Case, plan: Plan) -> Plan:
         """Return the plan with a tracker layer whose joint offsets produce the planned foot forces.
 
         Args:
@@ -428,10 +430,12 @@ class PlannedForces(Manoeuvre):
             plan: the plan.
         """
         course = self.force_plan(belief, plan)
-        inward = -jax.vmap(lambda *feet: surface_under(belief.obstacle, *feet).normal)(plan.foothold, plan.foot_frame)
+        inward = -jax.vmap(lambda *feet: surface_under_feet(belief.obstacle, *feet).normal)(
+            plan.foothold, plan.foot_frame
+        )
         offset = course.torque / belief.drive.stiffness
         rates = (jnp.asarray(x, float) for x in (self.creep, self.anchoring))
-        return plan.with_layer(ForceFeedforward(offset, jnp.max(course.optimum.imbalance, axis=-1), inward, *rates))
+        return plan.replace_layer(ForceFeedforward(offset, jnp.max(course.optimum.imbalance, axis=-1), inward, *rates))
 
 
 def _solve_6x6(m: Float[Array, "6 6"], right: Float[Array, " 6"]) -> Float[Array, " 6"]:

@@ -54,7 +54,7 @@ class GaitStep(NamedTuple):
         return self.half_length * stepping.LANDING_RATIO
 
 
-def body_advance(gait: Sequence[Sequence[int]], step: GaitStep) -> Array | float:
+def body_advance_per_swing(gait: Sequence[Sequence[int]], step: GaitStep) -> Array | float:
     """Return how far (m) the body moves during one swing of a gait.
 
     For the tripod 2 x*, so that v_o = k' x*/t* with k' = 2; for the gallop x*.
@@ -79,7 +79,7 @@ def initial_foot_offsets(
         step: the regular step.
         forward: unit vector of the walking direction.
     """
-    advance = body_advance(gait, step)
+    advance = body_advance_per_swing(gait, step)
     return jnp.stack([(_turns(gait, leg)[0] * advance - _half_stance(gait, leg) * advance) * forward for leg in LEGS])
 
 
@@ -91,7 +91,7 @@ def _half_stance(gait: Sequence[Sequence[int]], leg: int) -> float:
     return (len(gait) / len(_turns(gait, leg)) - 1) / 2
 
 
-def regular_steps(
+def regular_gait_stages(
     gait: Sequence[Sequence[int]],
     step: GaitStep,
     start: Stance,
@@ -113,7 +113,7 @@ def regular_steps(
         count: number of swings.
         deepening: depth (m) of footholds below the ground.
     """
-    advance = body_advance(gait, step)
+    advance = body_advance_per_swing(gait, step)
     position = start.position
     down = jnp.array([0.0, 0.0, -1.0]) * deepening
     stages = []

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from sweep.controllers.frames import stance_to_world, to_world
-from sweep.controllers.layers import HeldLegs
+from sweep.controllers.frames import points_to_world, stance_to_world
+from sweep.controllers.layers import JointSpaceLegs
 from sweep.controllers.plan import Plan, reference_stance, stage_start_pose
 from sweep.core.rotations import matrix, rotate, wrap_angle
 from sweep.formulas import leg, stepping
@@ -15,7 +15,7 @@ from sweep.models import solids
 from sweep.models.case import Case
 from sweep.models.geometry import (
     EDGE_SEARCH_RADIUS_M,
-    edge_distance,
+    foot_edge_distance,
     gap_between_legs,
     leg_base_gap,
     link_capsules,
@@ -24,7 +24,14 @@ from sweep.models.geometry import (
     thigh_shin_gap,
 )
 from sweep.models.obstacles.surface import BodyPoses, body_poses, free_start_state, surface_at
-from sweep.models.posture import Stance, feet_in_hip_axes, feet_in_world, joint_targets, leg_points, mass_centre
+from sweep.models.posture import (
+    Stance,
+    feet_in_hip_axes,
+    feet_in_world,
+    joint_targets,
+    leg_joint_positions,
+    mass_centre,
+)
 from sweep.models.robot import base_half_size
 from sweep.planning import forces
 from sweep.planning.force_reserve import force_reserve
@@ -66,16 +73,16 @@ def planned_margins(case: Case, plan: Plan, stage: Int[Array, ""], u: Float[Arra
     free = free_start_state(case.obstacle)
     stance, joints, shortfall = planned_stance(case, plan, stage, u)
     starts, goal = (
-        to_world(feet, plan.foot_frame[stage], free)
+        points_to_world(feet, plan.foot_frame[stage], free)
         for feet in (stage_start_pose(plan, stage, free)[0], plan.foothold[stage])
     )
     _, later, _ = planned_stance(case, plan, stage, u + jnp.where(u > 0.5, -RATE_INTERVAL, RATE_INTERVAL))
     rates = wrap_angle(later - joints) / (RATE_INTERVAL * plan.duration[stage])
-    goes = SwingFeet(plan.swing[stage], starts, goal)
+    goes = SwingEndpoints(plan.swing[stage], starts, goal)
     return stance_margins(case, body_poses(free), stance, joints, rates, shortfall, goes)
 
 
-class SwingFeet(NamedTuple):
+class SwingEndpoints(NamedTuple):
     """Feet that swing in a stage, with lift-off and touchdown points (m, world axes)."""
 
     swings: Bool[Array, " 6"]
@@ -90,7 +97,7 @@ def stance_margins(
     joints: Float[Array, "6 3"],
     rates: Float[Array, "6 3"],
     shortfall: Array,
-    swing: SwingFeet,
+    swing: SwingEndpoints,
 ) -> PoseMargins:
     """Return the margins of reach, clearance and support of a single stance.
 
@@ -106,7 +113,7 @@ def stance_margins(
     robot, obstacle = case.robot, case.obstacle
     solid = obstacle.solids(bodies)
     base = stance.position, matrix(stance.quat), base_half_size(robot)
-    points = leg_points(robot, joints)
+    points = leg_joint_positions(robot, joints)
     legs = stance.position + rotate(stance.quat[None, None], points)
     foot = legs[:, -1]
     stretch = jnp.linalg.norm(points[:, -1] - points[:, -3], axis=-1)  # from the hip end of the thigh to the foot
@@ -115,7 +122,7 @@ def stance_margins(
     goes = jnp.minimum(*(jnp.linalg.norm(foot - at, axis=-1) for at in (swing.starts, swing.goal))) > MID_SWING
     faces = surface_at(obstacle, foot, bodies)
     above = jnp.where(goes & swing.swings, -faces.depth, jnp.inf)
-    inside = edge_distance(obstacle, swing.starts, bodies)
+    inside = foot_edge_distance(obstacle, swing.starts, bodies)
     level = jnp.all(swing.swings | (faces.normal[:, 2] > MIN_LEVEL_NORMAL))
     centre = stance.position + rotate(stance.quat, mass_centre(robot, joints))
     return PoseMargins(
@@ -181,7 +188,7 @@ def planned_stance(
     stance = reference_stance(plan, stage, u, *stage_start_pose(plan, stage, free))
     stance = stance_to_world(stance, plan.foot_frame[stage], plan.base_frame[stage], free)
     joints, shortfall = joint_targets(robot, stance)
-    legs = plan.find_layer(HeldLegs)
+    legs = plan.find_layer(JointSpaceLegs)
     if legs is None:
         return stance, joints, shortfall
     before = jnp.maximum(stage - 1, 0)
@@ -190,7 +197,7 @@ def planned_stance(
     )
     origin = jnp.where(legs.held[before][:, None], legs.joints[before], origin)
     held = legs.held[stage]
-    change = stepping.trapezoidal_transfer(u, 0.0, 1.0)[0] * (legs.joints[stage] - origin)
+    change = stepping.trapezoidal_transfer_timing(u, 0.0, 1.0)[0] * (legs.joints[stage] - origin)
     joints = jnp.where(held[:, None], origin + change, joints)
     feet = feet_in_world(robot, stance.position, stance.quat, joints)
     return stance._replace(feet=jnp.where(held[:, None], feet, stance.feet)), joints, jnp.where(held, 0.0, shortfall)

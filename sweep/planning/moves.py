@@ -15,9 +15,9 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from sweep.controllers.frames import to_frame, to_world
+from sweep.controllers.frames import points_to_frame, points_to_world
 from sweep.controllers.plan import CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE, SMOOTH, STEADY, Stage, SupportMotion
-from sweep.core.errors import InputError, require_choice, suggest
+from sweep.core.errors import InputError, format_name_suggestion, require_choice
 from sweep.formulas.leg import SIDE_BY_LEG
 from sweep.models.case import Case
 from sweep.models.frames import WORLD_FRAME
@@ -74,7 +74,7 @@ NUMBERS = {f.name: f.default for f in fields(Move) if f.name in SINGLE}
 SIZES = {key: len(names) for key, names in COMPONENTS.items() if key != "base"}  # lengths of lists
 
 
-class Footing(NamedTuple):
+class FramedFoothold(NamedTuple):
     """Foothold of a foot: a point (m), and the body or world frame in which the point is fixed."""
 
     point: Float[Array, " 3"]  # m, in `frame`; the next swing's curve starts from it
@@ -86,12 +86,12 @@ class Footing(NamedTuple):
 class StandingState(NamedTuple):
     """Footholds of all feet and pitch of the base between two moves of a plan file."""
 
-    feet: Mapping[int, Footing]  # by leg
+    feet: Mapping[int, FramedFoothold]  # by leg
     pitch: Number  # rad, of the base, nose up
     frame: int = WORLD_FRAME  # of the base
 
 
-def make_standing(feet: Feet, pitch: Number, frame: int = WORLD_FRAME) -> StandingState:
+def make_standing_state(feet: Feet, pitch: Number, frame: int = WORLD_FRAME) -> StandingState:
     """Return the `StandingState` of a robot whose footholds are given as points, not as coordinates of the obstacle.
 
     Args:
@@ -99,7 +99,7 @@ def make_standing(feet: Feet, pitch: Number, frame: int = WORLD_FRAME) -> Standi
         pitch: of the base (rad), nose up.
         frame: frame of all feet and the base.
     """
-    return StandingState({leg: Footing(point, frame, frame) for leg, point in feet.items()}, pitch, frame)
+    return StandingState({leg: FramedFoothold(point, frame, frame) for leg, point in feet.items()}, pitch, frame)
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class MoveContext:
     laws: tuple[str, ...] = ()  # names of laws that moves may use
     stage: Mapping[str, Any] = field(default_factory=dict)  # further fields of all stages
 
-    def foothold_at(self, leg: int, place: Place, where: str, depth: Number | None = None) -> Footing:
+    def foothold_at(self, leg: int, place: Place, where: str, depth: Number | None = None) -> FramedFoothold:
         """Return the foothold of a leg from its coordinates in a plan file.
 
         Args:
@@ -137,7 +137,7 @@ class MoveContext:
         deep = self.depths.get(name, 0.0) if depth is None else depth
         stands = chart.frame if chart.standing_frame is None else chart.standing_frame
         point = chart.at(self.belief.obstacle, float(SIDE_BY_LEG[leg - 1]), self.unit, deep, *numbers)
-        return Footing(point, chart.frame, stands, place)
+        return FramedFoothold(point, chart.frame, stands, place)
 
     def base_pose_at(self, place: Place, where: str) -> tuple[Float[Array, " 3"], Number | None, Chart]:
         """Return the base's centre (m), its pitch (rad) if given, and the chart, from coordinates in a plan file.
@@ -150,7 +150,7 @@ class MoveContext:
             InputError: the chart is unknown, or has other coordinates.
         """
         _, chart, numbers = self.chart_and_coordinates(place, where)
-        names, count = chart.base_names(), len(chart.names)
+        names, count = chart.base_coordinate_names(), len(chart.names)
         if not (count - chart.optional_count <= len(numbers) <= len(names)):
             raise InputError(f"{where} = {_plain(numbers)} is not allowed: [{', '.join(names)}]")
         obstacle, numbers, pitch = self.belief.obstacle, numbers[:count], numbers[count:]
@@ -175,7 +175,7 @@ class MoveContext:
         offered = {**self.belief.obstacle.charts, **self.extra_charts}
         if name not in offered:
             kind = self.belief.obstacle.kind
-            raise InputError(f"{where}: chart {name} is unknown on {kind}{suggest(name, offered)}")
+            raise InputError(f"{where}: chart {name} is unknown on {kind}{format_name_suggestion(name, offered)}")
         return name, offered[name], numbers
 
     @property
@@ -206,16 +206,16 @@ def initial_stance(part: str, context: MoveContext) -> tuple[Float[Array, "6 3"]
     Raises:
         InputError: the part does not place the base and all feet.
     """
-    _, move = placing_move(context.belief, part)
+    _, move = read_placement_move(context.belief, part)
     feet = {leg: context.foothold_at(leg, place or {}, f"{move.path}.{group}", move.depth)
             for group, place in move.feet.items() for leg in LEG_GROUPS[group]}  # fmt: skip
     position, pitch, chart = context.base_pose_at(move.base, f"{move.path}.base")
     standing = StandingState(feet, 0.0 if pitch is None else pitch, chart.frame)
-    world = jnp.stack([foot_in_frame(context.belief, feet[leg], WORLD_FRAME) for leg in LEGS])
-    return world, foot_in_frame(context.belief, Footing(position, chart.frame), WORLD_FRAME), standing
+    world = jnp.stack([transform_foothold(context.belief, feet[leg], WORLD_FRAME) for leg in LEGS])
+    return world, transform_foothold(context.belief, FramedFoothold(position, chart.frame), WORLD_FRAME), standing
 
 
-def part_stages(
+def plan_part_stages(
     part: str, context: MoveContext, standing: StandingState, prefix: str | None = None
 ) -> tuple[list[Stage], StandingState]:
     """Convert the moves in one part of a plan file to plan stages; return these, and feet and base after them.
@@ -275,7 +275,7 @@ def _move_stage(name: str, move: Move, context: MoveContext, standing: StandingS
             )
             if move.leave and move.land:
                 offsets = (context.unit * context.to_world_vector(leg, numbers) for numbers in (move.leave, move.land))
-                starts = foot_in_frame(context.belief, old_footing, frames[leg]), feet[leg].point
+                starts = transform_foothold(context.belief, old_footing, frames[leg]), feet[leg].point
                 guides[leg] = jnp.stack([start + offset for start, offset in zip(starts, offsets, strict=True)])
     require_choice(move.support, context.supports, f"{move.path}.support = {move.support}")
     if move.law:
@@ -307,7 +307,7 @@ def _move_stage(name: str, move: Move, context: MoveContext, standing: StandingS
     return stage, StandingState(feet, standing.pitch if pitch is None else pitch, chart.frame)
 
 
-def foot_in_frame(belief: Case, foot: Footing, frame: int) -> Float[Array, " 3"]:
+def transform_foothold(belief: Case, foot: FramedFoothold, frame: int) -> Float[Array, " 3"]:
     """Transform a foothold (m) to another coordinate frame, with free bodies at their start poses.
 
     Args:
@@ -318,7 +318,9 @@ def foot_in_frame(belief: Case, foot: Footing, frame: int) -> Float[Array, " 3"]
     if foot.frame == frame:
         return foot.point
     free = free_start_state(belief.obstacle)
-    return to_frame(to_world(foot.point[None], jnp.array([foot.frame]), free), jnp.array([frame]), free)[0]
+    return points_to_frame(points_to_world(foot.point[None], jnp.array([foot.frame]), free), jnp.array([frame]), free)[
+        0
+    ]
 
 
 def read_moves(belief: Case, part: str, enclosing: tuple[str, ...] = ()) -> dict[str, Move]:
@@ -339,7 +341,7 @@ def read_moves(belief: Case, part: str, enclosing: tuple[str, ...] = ()) -> dict
     """
     content = evaluate_plan(belief, part)
     if part not in content:
-        raise InputError(f"plan.{part} is missing{suggest(part, content)}")
+        raise InputError(f"plan.{part} is missing{format_name_suggestion(part, content)}")
     common = {key: value for key, value in content[part].items() if not isinstance(value, Mapping)}
     if not isinstance(chart := common.get("base", ""), str):
         raise InputError(f"plan.{part}.base = {chart} is not allowed: a chart's name")
@@ -356,7 +358,7 @@ def read_moves(belief: Case, part: str, enclosing: tuple[str, ...] = ()) -> dict
         if not isinstance(other_part := common.get(key), str) or other_part in enclosing:
             raise InputError(f"plan.{part}.{key} = {other_part} is not allowed: another part")
     forward_moves = {
-        "": placing_move(belief, common["from"], enclosing)[1],
+        "": read_placement_move(belief, common["from"], enclosing)[1],
         **read_moves(belief, common["reverse"], enclosing),
     }
     parsed = reverse_moves(_with_pitch(belief, forward_moves))
@@ -406,7 +408,7 @@ def _by_leg(move: Move) -> dict[str, Place | None]:
     return {LEG_NAMES[leg]: place for group, place in move.feet.items() for leg in LEG_GROUPS[group]}
 
 
-def placing_move(belief: Case, part: str, enclosing: tuple[str, ...] = ()) -> tuple[str, Move]:
+def read_placement_move(belief: Case, part: str, enclosing: tuple[str, ...] = ()) -> tuple[str, Move]:
     """Return name and content of the only move in a part of a plan file; the move must place the base and all feet.
 
     Args:
@@ -495,7 +497,7 @@ def _leaves(value: Any) -> Iterator[Any]:
         yield value
 
 
-def read_numbers[T](cls: type[T], belief: Case, part: str) -> T:
+def read_part_numbers[T](cls: type[T], belief: Case, part: str) -> T:
     """Return a part of the plan file that holds numbers instead of moves, as the named tuple class `cls`.
 
     Args:

@@ -20,9 +20,9 @@ import yaml
 from jaxtyping import Array
 
 from sweep.core import project
-from sweep.core.errors import InputError, require_choice, suggest
+from sweep.core.errors import InputError, format_name_suggestion, require_choice
 from sweep.core.expressions import evaluate_expression
-from sweep.core.parameters import check_value, quantity
+from sweep.core.parameters import convert_and_check_value, quantity
 from sweep.models.legs import LEG_GROUPS
 from sweep.models.obstacles.charts import Chart
 from sweep.models.plan_numbers import INCREMENT_PREFIX
@@ -57,7 +57,7 @@ Names = tuple[str, ...]
 Ranges = Mapping[str, tuple[float, float]]  # least and largest value of sizes, by path
 
 
-def refuse_malformed(content: Content) -> None:
+def check_plan_content(content: Content) -> None:
     """Raise `InputError` if a plan file's content has other values than tables of words and finite numbers."""
 
     def wanted(form: Any, value: Any, path: str, what: str) -> None:
@@ -73,7 +73,7 @@ def refuse_malformed(content: Content) -> None:
                 wanted(str | bool | int | float, below, path, "numbers or words")
                 leaves(below, path)
         elif not isinstance(value, str | bool | None):
-            check_value(ANY, value, path)
+            convert_and_check_value(ANY, value, path)
 
     origin = content.get(SEARCHED, {}).get(ORIGIN, BY_COMMAND)
     require_choice(origin, ORIGINS, f"{GROUP}.{SEARCHED}.{ORIGIN}")
@@ -96,7 +96,7 @@ def refuse_malformed(content: Content) -> None:
         wanted(Mapping, line, f"{GROUP}.{SLOPES}.{number}", "sizes and numbers")
         for size, value in line.items():
             at = f"{GROUP}.{SLOPES}.{number}.{size}"
-            if not check_value(ANY, value, at) and number == AT:
+            if not convert_and_check_value(ANY, value, at) and number == AT:
                 raise InputError(f"{at} = {value} is not allowed: a number other than 0")
 
 
@@ -181,7 +181,7 @@ def _evaluate_content(case: Any, content: Content, added: Mapping[str, Array], a
             return parameter_value(case, name, name, (group,))
         if name not in names:
             beside = f", or numbers of {', '.join(NAMED)}, such as obstacle.height"
-            raise InputError(f"{name} is unknown{suggest(name, {*names, *sizes})}{beside}")
+            raise InputError(f"{name} is unknown{format_name_suggestion(name, {*names, *sizes})}{beside}")
         if names[name] is None:
             raise InputError(f"{name} is told by itself")
         return names[name]
@@ -248,7 +248,7 @@ def _refuse_lost(content: Content, path: str, found: Iterable[str]) -> NoReturn:
 
 def suggest_path(path: str, paths: Iterable[str], prefix: str = "plan.") -> str:
     """Return the closest path as the end of an error message (": did you mean ...?"); empty if none is close."""
-    return suggest(prefix + path, [prefix + one for one in paths]).partition(" (allowed")[0]
+    return format_name_suggestion(prefix + path, [prefix + one for one in paths]).partition(" (allowed")[0]
 
 
 def _file_content(case: Any) -> Content:
@@ -334,19 +334,19 @@ def _nested_path(
     """Path of a key's value, and names of its components if it is a list; `names` are those of a base pose."""
     above = path.rpartition(".")[2]
     if above == "base":
-        return path, charts[key].base_names() if key in charts else COMPONENTS["base"]
+        return path, charts[key].base_coordinate_names() if key in charts else COMPONENTS["base"]
     if above in LEG_GROUPS and isinstance(value, list) and key not in COMPONENTS:
         told = charts[key].names if key in charts else ()
         return path, told if len(told) == len(value) else PLACE[-len(value) :]
     if isinstance(chart := content.get("base"), str):
-        names = charts[chart].base_names() if chart in charts else COMPONENTS["base"]
+        names = charts[chart].base_coordinate_names() if chart in charts else COMPONENTS["base"]
     below = f"{path}.{key}".removeprefix(".")
     if isinstance(value, list):
         return below, (names if key == "base" else ()) or COMPONENTS.get(key, ())
     return below, names
 
 
-def plan_parameter(case: Any, path: str) -> "dataclasses.Field[Any]":
+def plan_number_field(case: Any, path: str) -> "dataclasses.Field[Any]":
     """Return unit, bounds and default of a number in a case's plan, so that a study can vary it.
 
     Args:
@@ -382,10 +382,10 @@ def default_searched_ranges(plan_name: str | None) -> Ranges:
 @functools.cache
 def _load_shipped_parts(name: str) -> tuple[Content, Ranges]:
     files = project.shipped_files(GROUP)
-    return split_searched(merge_plan_with_bases(name, lambda other: files[other].read_text(encoding="utf-8")))
+    return split_search_ranges(merge_plan_with_bases(name, lambda other: files[other].read_text(encoding="utf-8")))
 
 
-def split_searched(content: Content) -> tuple[Content, Ranges]:
+def split_search_ranges(content: Content) -> tuple[Content, Ranges]:
     """Split a plan file's content into the plan and the ranges of sizes for which its numbers were optimized.
 
     Args:

@@ -38,7 +38,7 @@ DEFAULT_AIMS = {
 }
 DEFAULT_SCALE = 0.01  # m, unit of the deficit of a margin
 SCALES = {"rate": 1.0, "hold": 0.01, "speed": 0.02}  # units of the deficits of other margins than lengths
-CAP_TOLERANCE = 0.1  # units of deficit that a margin may lose by `PlanScore.cap_aims`
+CAP_TOLERANCE = 0.1  # units of deficit that a margin may lose by `PlanScore.cap_aims_at_margins`
 MIN_PHASES, MAX_PHASE_INTERVAL = (
     11,
     0.05,
@@ -155,9 +155,11 @@ class PlanScore:
         Args:
             margins: Margins (..., draws, stages) by name.
         """
-        return np.sum(np.clip(np.nan_to_num(self.deficits(margins)).max(axis=-2), 0.0, MAX_DEFICIT) ** 2, axis=-1)
+        return np.sum(
+            np.clip(np.nan_to_num(self.margin_deficits(margins)).max(axis=-2), 0.0, MAX_DEFICIT) ** 2, axis=-1
+        )
 
-    def deficits(self, margins: Mapping[str, Any]) -> Any:
+    def margin_deficits(self, margins: Mapping[str, Any]) -> Any:
         """Return by how much margins (reach, clearance, ...) fall short of the values that they should have.
 
         Args:
@@ -167,11 +169,11 @@ class PlanScore:
             Deficits (..., margins x stages); negative where the margin exceeds its aim. A unit is 1 cm, or that of
             `SCALES`.
         """
-        aims = {key: self.aim_values(key) for key in sorted(margins)}
+        aims = {key: self.aim_by_stage(key) for key in sorted(margins)}
         return jnp.concatenate([(aim - _nan_to_worst(margins[key])) / SCALES.get(key, DEFAULT_SCALE)
                                 for key, aim in aims.items() if np.isfinite(aim).any()], axis=-1)  # fmt: skip
 
-    def cap_aims(self, numbers: np.ndarray, draws: Case) -> None:
+    def cap_aims_at_margins(self, numbers: np.ndarray, draws: Case) -> None:
         """Lower the wanted value of each margin to what the plan with given numbers reaches in the first draw.
 
         Args:
@@ -181,7 +183,7 @@ class PlanScore:
         reached = self.margins(numbers, draws)
         self._caps = {key: value[0] - CAP_TOLERANCE * SCALES.get(key, DEFAULT_SCALE) for key, value in reached.items()}
 
-    def deficit_gradients(self, numbers: np.ndarray, draws: Case) -> tuple[np.ndarray, np.ndarray]:
+    def squared_deficit_gradients(self, numbers: np.ndarray, draws: Case) -> tuple[np.ndarray, np.ndarray]:
         """Return for each draw the sum of squared margin deficits, and its gradient with respect to the plan's numbers.
 
         Args:
@@ -194,7 +196,9 @@ class PlanScore:
         deficit, gradient = (np.asarray(x, float) for x in self._deficit_gradients(jnp.asarray(numbers), draws))
         return deficit, np.nan_to_num(gradient, posinf=0.0, neginf=0.0)
 
-    def deficit_slopes(self, numbers: np.ndarray, draws: Case, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def deficit_finite_differences(
+        self, numbers: np.ndarray, draws: Case, steps: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return the margin deficits at the worst phases, and their derivatives by the plan's numbers, by differences.
 
         Numbers that affect no stage in common are moved together.
@@ -213,7 +217,7 @@ class PlanScore:
             numbers[:1, None] + DIFFERENCE_SHARE * steps * np.eye(count + 1, count, -1), first
         )[0]
         touched = ~np.isclose(alone[1:], alone[0], 0.0, EQUAL_DEFICIT).reshape(count, -1, stages).all(axis=1)
-        group = independent_groups(touched)
+        group = group_independent_numbers(touched)
         moves = np.where(np.arange(-1, group.max() + 1)[:, None] == group, DIFFERENCE_SHARE * steps, 0.0)
         deficit = self._deficits_of_sets(numbers[:, None] + moves, draws)
         known = np.where(np.isfinite(deficit), deficit, np.nan)
@@ -224,16 +228,16 @@ class PlanScore:
         """Deficits (draws, sets, phases, margins x stages) at the worst phases, for numbers (draws, sets, free)."""
         repeated = jax.tree.map(lambda x: np.repeat(x, numbers.shape[1], axis=0), draws)
         margins = _map_draws(self._margins, numbers.reshape(-1, 1, numbers.shape[-1]), repeated)
-        deficit = np.asarray(self.deficits({key: value[:, 0] for key, value in margins.items()}))
+        deficit = np.asarray(self.margin_deficits({key: value[:, 0] for key, value in margins.items()}))
         return deficit.reshape(*numbers.shape[:2], *deficit.shape[1:])
 
     def _squared_deficit(self, numbers: jax.Array, belief: Case) -> jax.Array:
         """Summed squared deficit of one draw, differentiable."""
-        deficit = self.deficits(self._worst_margins(numbers, belief))[0]
+        deficit = self.margin_deficits(self._worst_margins(numbers, belief))[0]
         counts = jnp.isfinite(deficit) & (deficit > 0)
         return jnp.sum(jnp.where(counts, deficit, 0.0) ** 2)
 
-    def aim_values(self, margin: str) -> np.ndarray:
+    def aim_by_stage(self, margin: str) -> np.ndarray:
         """Return the value that a margin should have in each stage, (stages,); minus infinity where none is set."""
         values = np.full(len(self.stages), -np.inf)
         for aim in self.aims:
@@ -244,7 +248,7 @@ class PlanScore:
     def _worst_margins(self, numbers: jax.Array, belief: Case) -> dict[str, jax.Array]:
         """Margins (phases, stages) of one draw at the worst phases of every stage, the worst first."""
         for path, value in zip(self._free, numbers, strict=True):
-            belief = with_plan_number(belief, path, value, self._formulas)
+            belief = replace_plan_number(belief, path, value, self._formulas)
         plan = belief.manoeuvre.plan(belief)
         return self._played_margins(belief, plan) if self._is_on_ball else self._posed_margins(belief, plan)
 
@@ -257,7 +261,7 @@ class PlanScore:
             most = max(WORST_PHASES, *counts)
             index = (np.cumsum(counts) - counts)[:, None] + np.minimum(np.arange(most), counts[:, None] - 1)
             return {
-                key: -jax.lax.top_k(-local_minima(_nan_to_worst(x)[index]), WORST_PHASES)[0].T
+                key: -jax.lax.top_k(-mask_non_minima(_nan_to_worst(x)[index]), WORST_PHASES)[0].T
                 for key, x in by_phase.items()
             }
 
@@ -272,7 +276,7 @@ class PlanScore:
 
     def _played_margins(self, belief: Case, plan: Plan) -> dict[str, jax.Array]:
         chosen, count = self._at[0], len(plan.names)
-        played = ball_margins.play_plan(belief, plan, TICK_PERIOD, self._ticks)
+        played = ball_margins.play_plan_kinematically(belief, plan, TICK_PERIOD, self._ticks)
         margins = ball_margins.stage_minima(played, count)._asdict()
         speed = jnp.max(jnp.linalg.norm(played.free.velocity, axis=-1), axis=1)
         zmp = jax.ops.segment_min(ball_margins.zmp_margin(played, TICK_PERIOD), played.stage, count)  # m
@@ -282,7 +286,7 @@ class PlanScore:
         return {key: value[None, chosen] for key, value in margins.items()}
 
 
-def independent_groups(touched: np.ndarray) -> np.ndarray:
+def group_independent_numbers(touched: np.ndarray) -> np.ndarray:
     """Assign n numbers to groups so that numbers of one group affect disjoint sets of results.
 
     Args:
@@ -303,7 +307,7 @@ def _nan_to_worst(margin: Any) -> jax.Array:
     return jnp.where(jnp.isnan(margin), -jnp.inf, margin)
 
 
-def local_minima(margin: jax.Array) -> jax.Array:
+def mask_non_minima(margin: jax.Array) -> jax.Array:
     """Set all margins (stages, phases) that are not local minima over the phases of a stage to infinity.
 
     All others become infinite.
@@ -324,22 +328,23 @@ def _map_draws(function: Callable[..., Any], numbers: np.ndarray, draws: Case) -
         return jax.tree.map(lambda *x: np.concatenate(x)[:count], *pool.map(evaluate, parts))
 
 
-def with_plan_number(case: Case, path: str, value: Any, formulas: Mapping[str, float]) -> Case:
+def replace_plan_number(case: Case, path: str, value: Any, formulas: Mapping[str, float]) -> Case:
     """Return the case (all parameters of a rollout) with another value for one number of its plan.
 
     Args:
         case: The case.
-        path: Path of a number of the plan table, see `PlanTable.with_value`, or of the manoeuvre (`manoeuvre.NAME`).
+        path: Path of a number of the plan table, see `PlanTable.replace_number`, or of the manoeuvre
+            (`manoeuvre.NAME`).
         value: The value.
         formulas: Values of the numbers that formulas give.
     """
     group, _, name = path.partition(".")
     if group == MANOEUVRE:
         return replace(case, manoeuvre=replace(case.manoeuvre, **{name: value}))  # pyright: ignore[reportArgumentType]
-    return replace(case, plan=case.plan.with_value(path, value, formulas))
+    return replace(case, plan=case.plan.replace_number(path, value, formulas))
 
 
-def with_draw_axis(belief: Case, count: int) -> Case:
+def broadcast_over_draws(belief: Case, count: int) -> Case:
     """Return a belief (controller's parameters) whose arrays all have a leading axis of `count` draws.
 
     Args:
@@ -349,7 +354,7 @@ def with_draw_axis(belief: Case, count: int) -> Case:
     return jax.tree.map(lambda x: jnp.broadcast_to(jnp.asarray(x, float), (count,)), belief)
 
 
-def relative_changes(belief: Case, sizes: Mapping[str, float]) -> np.ndarray:
+def relative_size_changes(belief: Case, sizes: Mapping[str, float]) -> np.ndarray:
     """Return the relative differences between the robot and obstacle sizes of each draw and reference sizes.
 
     Args:

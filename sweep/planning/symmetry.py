@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from sweep.controllers.frames import stance_to_world, to_frame, to_world
+from sweep.controllers.frames import points_to_frame, points_to_world, stance_to_world
 from sweep.controllers.plan import Plan, stage_start_pose
 from sweep.core.rotations import exponential, multiply
 from sweep.models.case import Case
-from sweep.models.obstacles.surface import FreeState, free_start_state, no_free_bodies
+from sweep.models.obstacles.surface import FreeBodyState, empty_free_body_state, free_start_state
 from sweep.models.posture import Stance
 from sweep.planning import plan_table
 
@@ -27,7 +27,7 @@ def last_stance(plan: Plan) -> Stance:
     return Stance(plan.foothold[-1], plan.position[-1], multiply(exponential(plan.turn[-1]), plan.quat[-1]))
 
 
-def reverse_in_time(plan: Plan, free: FreeState | None = None) -> Plan:
+def reverse_in_time(plan: Plan, free: FreeBodyState | None = None) -> Plan:
     """Return the plan that passes through the stances of `plan` in reverse order of time.
 
     Step cycles, paces and paths are their own reversal except at their ends. So a stage goes back with the same swings,
@@ -38,7 +38,7 @@ def reverse_in_time(plan: Plan, free: FreeState | None = None) -> Plan:
         plan: plan to reverse.
         free: state of the free bodies, which stay there; None: there are none.
     """
-    free = no_free_bodies() if free is None else free
+    free = empty_free_body_state() if free is None else free
     starts, position = jax.vmap(lambda stage: stage_start_pose(plan, stage, free))(jnp.arange(len(plan.names)))
     frame = jnp.concatenate([plan.foot_frame[:1], plan.foot_frame[:-1]])  # frames to go back to
     feet, guides = (
@@ -70,7 +70,7 @@ def reverse_in_time(plan: Plan, free: FreeState | None = None) -> Plan:
     )
 
 
-def apply_direction(belief: Case, plan: Plan) -> Plan:
+def apply_plan_direction(belief: Case, plan: Plan) -> Plan:
     """Return the plan forward, reversed in time, or forward and then back, as the case's plan file asks.
 
     Args:
@@ -85,12 +85,12 @@ def apply_direction(belief: Case, plan: Plan) -> Plan:
 
 
 def _in_frames(
-    points: Float[Array, "s 6 n 3"], frame: Int[Array, "s 6"], into: Int[Array, "s 6"], free: FreeState
+    points: Float[Array, "s 6 n 3"], frame: Int[Array, "s 6"], into: Int[Array, "s 6"], free: FreeBodyState
 ) -> Float[Array, "s 6 n 3"]:
     """Points (m) of every stage and leg, transformed from `frame` to the frame `into`."""
     flat = points.reshape(-1, 3)
     old, new = (jnp.repeat(frames.reshape(-1), points.shape[2]) for frames in (frame, into))
-    return to_frame(to_world(flat, old, free), new, free).reshape(points.shape)
+    return points_to_frame(points_to_world(flat, old, free), new, free).reshape(points.shape)
 
 
 def mirror_plan(plan: Plan, normal: Float[np.ndarray, " 3"]) -> Plan:

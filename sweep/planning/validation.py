@@ -10,9 +10,9 @@ from jaxtyping import Array, Float
 
 from sweep.controllers.plan import Plan, stage_end_stances
 from sweep.core.errors import InputError
-from sweep.fused.numbers import evaluate_plain_numbers
+from sweep.fused.numbers import evaluate_with_numpy
 from sweep.models.case import Case
-from sweep.models.obstacles.surface import FreeState
+from sweep.models.obstacles.surface import FreeBodyState
 from sweep.models.posture import Stance, joint_targets
 
 
@@ -21,7 +21,7 @@ def are_plain_numbers(*parts: Any) -> bool:
     return all(isinstance(x, float) for x in jax.tree.leaves(parts))
 
 
-def stances_at_stage_ends(plan: Plan, free: FreeState) -> dict[str, Stance]:
+def stances_at_stage_ends(plan: Plan, free: FreeBodyState) -> dict[str, Stance]:
     """Return the stances (world axes) at the ends of a plan's stages, by a phrase for messages that names the stage.
 
     Args:
@@ -53,7 +53,7 @@ def require_within_reach(belief: Case, stances: Callable[[], Mapping[str, Stance
         many = jax.tree.map(lambda *leaves: jnp.stack(leaves), *named.values())
         return jax.vmap(lambda stance: joint_targets(belief.robot, stance)[1])(many)
 
-    lacks = evaluate_plain_numbers(shortfalls)
+    lacks = evaluate_with_numpy(shortfalls)
     if not lacks.max() <= 0:
         stage, foot = np.unravel_index(lacks.argmax(), lacks.shape)
         raise InputError(f"{prefix}foot {foot + 1} is {lacks.max():.3f} m out of reach {words[stage]}")

@@ -17,7 +17,7 @@ MODEL_FILE, ARRAYS_FILE = "model.mjb", "frames.npz"  # files in the folder JOB
 ARROW_RGBA = np.array([*FORCE_COLOR, 1.0], np.float32)
 
 
-def draw_job(job: Path) -> int:
+def draw_job_folder(job: Path) -> int:
     """Draw the frames described in the folder `job` (a model and arrays); return the exit status."""
     try:
         import mujoco
@@ -78,4 +78,4 @@ def _add_arrow(scene: Any, tail: np.ndarray, tip: np.ndarray) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(draw_job(Path(sys.argv[1])))
+    sys.exit(draw_job_folder(Path(sys.argv[1])))

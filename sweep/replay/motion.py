@@ -13,7 +13,7 @@ import numpy as np
 
 from sweep.contract.engine import Trace, hinge_and_slide_joints
 from sweep.contract.trace_frames import base_body_id, count_finite_frames, joint_names
-from sweep.core.files import decode_text, encode_text
+from sweep.core.files import deflate_to_base64, inflate_base64
 from sweep.replay.height_fields import sample_height_field
 from sweep.replay.hulls import geom_hull
 from sweep.replay.meshes import simplify_meshes
@@ -65,7 +65,7 @@ def encode_motion(trace: Trace) -> dict[str, Any]:
         margin = np.nan_to_num(trace.margin[:frames], nan=-1.0).clip(-1.0, 1.0)
         small += [np.round(MARGIN_LEVELS * margin), np.searchsorted(limits, trace.margin_of[:frames])]
     if trace.contacts:
-        share = np.nan_to_num(trace.contacts.friction_share(trace)[:frames])
+        share = np.nan_to_num(trace.contacts.friction_utilization(trace)[:frames])
         small.append(np.round(FRICTION_LEVELS * share).clip(0, INT8))
     signals = describe_signals(trace, frames)
     for group in signals:
@@ -151,7 +151,7 @@ def thin_motion(motion: dict[str, Any], every: int) -> dict[str, Any]:
         every: Frames from one that is kept to the next.
     """
     frames, columns = motion["frames"], len(motion["scales"])
-    content = decode_text(motion["states"])
+    content = inflate_base64(motion["states"])
     states = decode_byte_planes(content[: 2 * frames * columns], frames, np.dtype(np.int16))
     small = decode_byte_planes(content[2 * frames * columns :], frames, np.dtype(np.int8))
     every = min(every, frames)
@@ -166,7 +166,7 @@ def thin_motion(motion: dict[str, Any], every: int) -> dict[str, Any]:
 
 def encode_states(states: np.ndarray, small: np.ndarray) -> str:
     """Encode recorded states, F frames of two-byte and of one-byte integers, as text."""
-    return encode_text(encode_byte_planes(states) + encode_byte_planes(small))
+    return deflate_to_base64(encode_byte_planes(states) + encode_byte_planes(small))
 
 
 def encode_byte_planes(values: np.ndarray) -> bytes:

@@ -93,7 +93,7 @@ def add_caption(picture: np.ndarray, text: str) -> np.ndarray:
     return np.asarray(image)
 
 
-def write_strip(path: str | Path, trace: Trace, frames: np.ndarray, outcome: str = "") -> None:
+def write_filmstrip(path: str | Path, trace: Trace, frames: np.ndarray, outcome: str = "") -> None:
     """Write pictures of some frames into one image, at most `PICTURES_PER_ROW` in a row.
 
     Args:
@@ -256,7 +256,7 @@ def _count_hidden_points(trace: Trace, frames: np.ndarray, azimuth: float) -> in
     way = _camera_distance(trace, frames, azimuth) * np.linspace(0.2, 1, 9)[:, None] * _camera_axes(azimuth)[2]
     seen = np.concatenate([base_pose(trace)[frames, None, :3], trace.foot_position[frames]], axis=1)
     points = (seen[:, :, None] + way).reshape(len(frames), -1, 3)
-    return int(np.sum(trace.contacts.depth(trace, points, frames) > 0))
+    return int(np.sum(trace.contacts.penetration_depth(trace, points, frames) > 0))
 
 
 def _read_pictures(job: str, backend: str) -> Generator[np.ndarray, None, bool]:

@@ -9,12 +9,12 @@ import pandas as pd
 from tabulate import tabulate
 
 from sweep.config.experiment import build_experiment
-from sweep.contract.engine import Trace, same_bits
+from sweep.contract.engine import Trace, is_bitwise_equal
 from sweep.contract.engine_settings import EngineSettings
 from sweep.contract.system import System, judge_rollout
 from sweep.runs import store
 from sweep.runs.batches import allocate_delay_buffers, make_engine, make_nominal_batch
-from sweep.runs.runner import load_point
+from sweep.runs.runner import load_stored_rollout
 from sweep.study.columns import LABEL_COLUMNS
 from sweep.study.study import parameter_columns
 
@@ -46,7 +46,7 @@ def replay_rollout(folder: Path, point: str) -> Replay:
     Raises:
         InputError: No row, or more than one, is meant; or the folder is damaged.
     """
-    task, slot, row = load_point(folder, point)
+    task, slot, row = load_stored_rollout(folder, point)
     table, stored = store.read_points(folder), store.read_study(folder)
     config = stored["config"]
     exp = allocate_delay_buffers(build_experiment(config), table)
@@ -73,11 +73,11 @@ def state_table(system: System, trace: Trace) -> pd.DataFrame:
     return pd.DataFrame({"time_s": trace.time, "stage": [trace.stages[k] for k in trace.stage], **columns})
 
 
-def format_comparison(result: Replay) -> str:
+def format_comparison_with_stored(result: Replay) -> str:
     """Return a text that compares the stored outcome with the new one, and lists all metrics that differ."""
     stored, again = result.stored, result.again
     figures = [name for name in result.trace.metrics if name in stored]
-    changed = [name for name in figures if not same_bits(stored[name], again[name])]
+    changed = [name for name in figures if not is_bitwise_equal(stored[name], again[name])]
     rows = [(name, _format_value(stored[name]), _format_value(again[name])) for name in (*LABEL_COLUMNS[:4], *changed)]
     lines = [
         f"point {stored['point_id']}",

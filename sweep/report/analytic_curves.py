@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 
 from sweep.config.experiment import Experiment
 from sweep.contract.system import split_side_prefix
-from sweep.report.cells import MapCells, axis_places
+from sweep.report.cells import MapCells, axis_positions
 from sweep.study.analytic_limits import AnalyticParameterLimit
 
 LINE_STYLES = ("--", "-.", ":")
@@ -28,7 +28,7 @@ def limit_curve(theory: AnalyticParameterLimit, exp: Experiment, rows: pd.DataFr
     return pd.DataFrame(found, columns=["along", "limit"])
 
 
-def draw_limits(ax: Axes, exp: Experiment, rows: pd.DataFrame, x: str, y: str, cells: MapCells) -> None:
+def draw_limit_curves(ax: Axes, exp: Experiment, rows: pd.DataFrame, x: str, y: str, cells: MapCells) -> None:
     """Draw the analytic limits of both parameters of a map as labelled curves."""
     for theory, style in zip(exp.study.theory, LINE_STYLES, strict=False):
         for across, along in ((x, y), (y, x)):
@@ -36,12 +36,12 @@ def draw_limits(ax: Axes, exp: Experiment, rows: pd.DataFrame, x: str, y: str, c
                 continue
             found = limit_curve(theory, exp, rows, along)
             pairs = (found["limit"], found["along"]) if across == x else (found["along"], found["limit"])
-            at = [axis_places(part.to_numpy(), values) for part, values in zip(pairs, cells[:2], strict=True)]
+            at = [axis_positions(part.to_numpy(), values) for part, values in zip(pairs, cells[:2], strict=True)]
             box = ax.axis()
             ax.plot(*at, style, color="black", linewidth=1.8, label=theory.label)
             ax.axis(box)  # the map's, however far the limit goes
 
 
-def measured_metrics(exp: Experiment, rows: pd.DataFrame) -> list[str]:
+def analytic_limit_metrics(exp: Experiment, rows: pd.DataFrame) -> list[str]:
     """Return the metrics that measure the quantities of the analytic limits, to be mapped beside the outcomes."""
     return list(dict.fromkeys(theory.measured for theory in exp.study.theory if theory.measured in rows))

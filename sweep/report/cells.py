@@ -47,7 +47,7 @@ def lay_out_cells(rows: pd.DataFrame, x: str, y: str) -> tuple[pd.DataFrame, Map
     return rows.assign(**placed), MapCells(**cells)
 
 
-def evenly_spaced(values: np.ndarray) -> bool:
+def is_evenly_spaced(values: np.ndarray) -> bool:
     """Return whether values are so evenly spaced that cells can reach half-way to their neighbours."""
     gaps = np.diff(values)
     return len(gaps) == 0 or float(gaps.max()) < 3 * float(gaps.min())
@@ -55,7 +55,7 @@ def evenly_spaced(values: np.ndarray) -> bool:
 
 def cell_edges(values: np.ndarray) -> np.ndarray:
     """Return the borders of cells: half-way between values, or of equal width for uneven values."""
-    if not evenly_spaced(values):
+    if not is_evenly_spaced(values):
         return np.arange(len(values) + 1) - 0.5
     half = np.diff(values) / 2 if len(values) > 1 else np.array([0.5 * abs(values[0]) or 0.5])
     first = values[0] - half[0]
@@ -64,7 +64,7 @@ def cell_edges(values: np.ndarray) -> np.ndarray:
     return np.concatenate([[first], values[:-1] + half[: len(values) - 1], [values[-1] + half[-1]]])
 
 
-def end_axes_at_zero(ax: Axes) -> None:
+def clip_axes_at_zero(ax: Axes) -> None:
     """Limit both axes of a plot to non-negative values if no value is negative."""
     for low, start, set_limit in (
         (ax.dataLim.x0, ax.get_xlim()[0], ax.set_xlim),
@@ -79,10 +79,10 @@ def label_axis_values(ax: Axes, cells: MapCells) -> None:
     for axis, values, names in ((ax.xaxis, cells.x, cells.x_names), (ax.yaxis, cells.y, cells.y_names)):
         if names:
             axis.set_ticks(values, [name.replace("_", " ") for name in names])
-        elif not evenly_spaced(values):
+        elif not is_evenly_spaced(values):
             named = evenly_spaced_indices(len(values), MAX_LABELLED_VALUES)
             axis.set_ticks(named, [format_number(float(values[k])) for k in named])
-    if len(cells.x) > MAX_HORIZONTAL_LABELS and (cells.x_names or not evenly_spaced(cells.x)):
+    if len(cells.x) > MAX_HORIZONTAL_LABELS and (cells.x_names or not is_evenly_spaced(cells.x)):
         ax.tick_params(axis="x", labelrotation=60)
 
 
@@ -94,8 +94,8 @@ def format_number(value: float, size: int = 4) -> str:
     return f"{value:,.0f}" if 0 < int(power) < 6 else rf"${digits}\cdot10^{{{int(power)}}}$"
 
 
-def axis_places(numbers: np.ndarray, values: np.ndarray) -> np.ndarray:
+def axis_positions(numbers: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return the positions of numbers along an axis with cells of `values`; NaN for numbers without a cell."""
-    if evenly_spaced(values):
+    if is_evenly_spaced(values):
         return numbers
     return np.interp(numbers, values, np.arange(len(values)), left=np.nan, right=np.nan)

@@ -7,12 +7,12 @@ import pandas as pd
 
 from sweep.analysis import compare, first_differences
 from sweep.analysis.stats import format_percent
-from sweep.core.errors import InputError, suggest
+from sweep.core.errors import InputError, format_name_suggestion
 from sweep.core.expressions import find_column
 from sweep.report.labels import axis_words
 from sweep.report.tables import markdown_table
 from sweep.runs import store, time_series
-from sweep.study.study import identity_columns
+from sweep.study.study import rollout_id_columns
 
 MAX_LISTED = 12  # pairs and figures of a list; `--output` has them all
 
@@ -33,20 +33,21 @@ def comparison_text(
         InputError: a region is not a parameter.
     """
     parts = [
-        f"{len(pairs)} pairs{name_pair_columns(pairs)}; unpaired: {a - len(pairs)} rows of A, {b - len(pairs)} of B",
+        f"{len(pairs)} pairs{describe_pair_columns(pairs)}; "
+        f"unpaired: {a - len(pairs)} rows of A, {b - len(pairs)} of B",
         str(compare.count_flips(pairs, unit)),
     ]
-    axes = [find_parameter(pairs, name) for name in regions] if regions else default_regions(pairs)
-    if compare.outcome_changes(pairs).any():
+    axes = [find_parameter_column(pairs, name) for name in regions] if regions else default_region_parameters(pairs)
+    if compare.outcome_change_mask(pairs).any():
         if axes:
             parts += [
                 "",
                 f"By region ({', '.join(map(axis_words, axes))}):",
                 markdown_table(compare.flips_by_region(pairs, axes, unit)),
             ]
-        parts += ["", "What became what:", markdown_table(compare.cause_changes(pairs))]
+        parts += ["", "What became what:", markdown_table(compare.count_cause_transitions(pairs))]
         parts += ["", "Pairs that differ:", markdown_table(compare.changed_pairs(pairs).head(MAX_LISTED))]
-    drift = compare.metric_drift(pairs)
+    drift = compare.relative_metric_changes(pairs)
     drift = drift[drift > 0].head(MAX_LISTED)
     if len(drift):
         figures = pd.DataFrame({"figure": drift.index, "typical change": [format_percent(v) for v in drift]})
@@ -66,11 +67,11 @@ def first_difference_text(a: Path, b: Path, share: float) -> str:
     if not all(one.is_dir() and store.list_recordings(one, store.HISTORIES_FOLDER) for one in (a, b)):
         return ""
     here, there = (time_series.read_histories(one) for one in (a, b))
-    known = {*identity_columns(here.columns), first_differences.TIME}
+    known = {*rollout_id_columns(here.columns), first_differences.TIME}
     columns = [name for name in here.columns if name in there.columns and name not in known]
     if not columns:
         return ""
-    found = first_differences.find_first_differences(here, there, columns, share)
+    found = first_differences.find_time_series_differences(here, there, columns, share)
     if not len(found):
         return ""
     differ = found[np.isfinite(found["time_s"])].sort_values("time_s", kind="stable")
@@ -84,25 +85,25 @@ def first_difference_text(a: Path, b: Path, share: float) -> str:
     )
 
 
-def name_pair_columns(pairs: pd.DataFrame) -> str:
+def describe_pair_columns(pairs: pd.DataFrame) -> str:
     """Describe the columns by which rows were paired, if they were chosen automatically; else empty."""
     return f" of equal {', '.join(pairs.attrs['by'])}" if pairs.attrs["by"] else ""
 
 
-def find_parameter(pairs: pd.DataFrame, name: str) -> str:
+def find_parameter_column(pairs: pd.DataFrame, name: str) -> str:
     """Return the parameter column that a user names. Raises `InputError` for other columns."""
     found = find_column(pairs, name)
     if found not in (allowed := compare.varied_axes(pairs)):
-        raise InputError(f"{name} is not a parameter{suggest(name, allowed)}")
+        raise InputError(f"{name} is not a parameter{format_name_suggestion(name, allowed)}")
     return found
 
 
-def default_regions(pairs: pd.DataFrame) -> list[str]:
+def default_region_parameters(pairs: pd.DataFrame) -> list[str]:
     """Return the first two varied numeric parameters, by which pairs are divided into regions."""
     return [c for c in compare.varied_axes(pairs) if pairs[c].dtype.kind in "fi" and pairs[c].nunique() > 1][:2]
 
 
-def find_violations(pairs: pd.DataFrame, a: int, tolerance: float, figures: float | None) -> list[str]:
+def list_tolerance_violations(pairs: pd.DataFrame, a: int, tolerance: float, figures: float | None) -> list[str]:
     """List the differences that exceed the user's tolerance, one line each.
 
     Args:
@@ -119,7 +120,7 @@ def find_violations(pairs: pd.DataFrame, a: int, tolerance: float, figures: floa
         )
     if a > len(pairs):
         lines.append(f"{a - len(pairs)} of {a} rows of A have no pair in B")
-    if figures is not None and len(drift := compare.metric_drift(pairs)) and drift.iloc[0] > figures:
+    if figures is not None and len(drift := compare.relative_metric_changes(pairs)) and drift.iloc[0] > figures:
         lines.append(
             f"{drift.index[0]} typically changes by {format_percent(drift.iloc[0])}, "
             f"{format_percent(figures)} tolerated"

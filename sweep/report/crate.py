@@ -72,7 +72,7 @@ def write_crate(results: Results, out: Path, license_: str, zipped: bool, author
     if out.exists() and any(out.iterdir()):
         raise InputError(f"{out} is not an empty folder")
     crate = ROCrate(version="1.1")  # which the profile is of
-    describe_study(crate, results, license_, author)
+    add_study_to_crate(crate, results, license_, author)
     if zipped:
         path = out.with_name(f"{out.name}.zip")
         write_atomically(path, b"".join(crate.stream_zip()))
@@ -85,7 +85,7 @@ def write_crate(results: Results, out: Path, license_: str, zipped: bool, author
     return out
 
 
-def describe_study(crate: "ROCrate", results: Results, license_: str, author: str) -> None:
+def add_study_to_crate(crate: "ROCrate", results: Results, license_: str, author: str) -> None:
     """Add to a crate the files of a study, the program that produced them, and the record of its run."""
     from rocrate.model.contextentity import ContextEntity
     from rocrate.model.person import Person

@@ -14,8 +14,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from sweep.analysis import sensitivity
-from sweep.core.plot_style import PAGE_WIDTH_IN, fit_ticks, legend_below, new_figure, wrap_text
-from sweep.report.cells import end_axes_at_zero
+from sweep.core.plot_style import PAGE_WIDTH_IN, add_legend_below, limit_x_ticks, new_figure, wrap_text
+from sweep.report.cells import clip_axes_at_zero
 from sweep.report.figure import StudyFigure
 from sweep.report.headline import study_headline
 from sweep.report.labels import axis_title, axis_words, outcome_kind
@@ -34,20 +34,23 @@ MARGIN_COLUMN = "margin"  # column: how far a rollout stayed from its nearest li
 
 def has_draws_figure(results: Results) -> bool:
     """Return whether the study draws parameters at random and lists fewer than the two that a map needs."""
-    return bool(drawn_columns(results)) and len(results.listed_numeric_columns) < 2
+    return bool(numeric_drawn_columns(results)) and len(results.numeric_grid_columns) < 2
 
 
-def drawn_columns(results: Results) -> list[str]:
+def numeric_drawn_columns(results: Results) -> list[str]:
     """Return the columns of randomly drawn parameters."""
-    return [a.column for a in sensitivity.numeric_axes(results.rows, sensitivity.drawn_axes(results.rows, results.exp))]
+    return [
+        a.column
+        for a in sensitivity.numeric_axes(results.rows, sensitivity.randomly_drawn_axes(results.rows, results.exp))
+    ]
 
 
 def draws_figure(results: Results) -> Iterator[StudyFigure]:
     """Yield the overview figure of a study of draws; its data have a row for each rollout."""
     if not has_draws_figure(results):
         return
-    columns, size = drawn_columns(results), len(results.rows)
-    lines = sum(min(len(part), MAX_LINES_PER_KIND) for _, part in rows_by_kind(results.rows, ["outcome"]))
+    columns, size = numeric_drawn_columns(results), len(results.rows)
+    lines = sum(min(len(part), MAX_LINES_PER_KIND) for _, part in rows_by_outcome_kind(results.rows, ["outcome"]))
     text = "Above: a line for each rollout through its drawn values, on axes from the smallest to the largest. "
     if lines < size or len(columns) > MAX_AXES:
         text += f"{lines} of {size} lines and {min(len(columns), MAX_AXES)} of {len(columns)} parameters are shown. "
@@ -63,7 +66,7 @@ def draws_figure(results: Results) -> Iterator[StudyFigure]:
     yield StudyFigure("draws", "Draws", text, table, lambda: draw_overview(results))
 
 
-def rows_by_kind(rows: pd.DataFrame, columns: Sequence[str]) -> Iterator[tuple[str, pd.DataFrame]]:
+def rows_by_outcome_kind(rows: pd.DataFrame, columns: Sequence[str]) -> Iterator[tuple[str, pd.DataFrame]]:
     """Yield the rows of successes, then of each cause, the most frequent first, so that rarer ones are drawn on top.
 
     Args:
@@ -78,7 +81,7 @@ def rows_by_kind(rows: pd.DataFrame, columns: Sequence[str]) -> Iterator[tuple[s
 def draw_overview(results: Results) -> Figure:
     """Draw the overview figure of a study with randomly drawn parameters."""
     rows, ranked = results.rows, results.regional_sensitivity
-    columns = list(ranked["axis"]) or drawn_columns(results)
+    columns = list(ranked["axis"]) or numeric_drawn_columns(results)
     panels = [*(["rank"] if len(ranked) else []), "pair", "margin"]
     wide = len(columns) > 1
     figure = new_figure(5.6 if wide else 3.2)
@@ -91,12 +94,12 @@ def draw_overview(results: Results) -> Figure:
     scatter_over_two_parameters(axes["pair"], results, columns)
     draw_margins(axes["margin"], results, columns[0])
     for name in panels[-2:]:
-        fit_ticks(axes[name], len(panels))
+        limit_x_ticks(axes[name], len(panels))
     handles = [
         legend_handle(kind, f"{kind.replace('_', ' ')} ({len(part):,})")
-        for kind, part in rows_by_kind(rows, ["outcome"])
+        for kind, part in rows_by_outcome_kind(rows, ["outcome"])
     ]
-    legend_below(figure, handles)
+    add_legend_below(figure, handles)
     figure.suptitle(wrap_text(f"{results.name}: {study_headline(rows, results.exp)}", 72 * PAGE_WIDTH_IN - 20))
     return figure
 
@@ -106,7 +109,7 @@ def draw_parallel_axes(ax: Axes, results: Results, columns: list[str]) -> None:
     values = results.rows[columns].to_numpy(dtype=float)
     low, high = values.min(axis=0), values.max(axis=0)
     places = np.arange(len(columns))
-    for kind, part in rows_by_kind(results.rows, columns):
+    for kind, part in rows_by_outcome_kind(results.rows, columns):
         chosen = part.sample(min(len(part), MAX_LINES_PER_KIND), random_state=0).sort_index()
         shares = (chosen[columns].to_numpy(dtype=float) - low) / (high - low)
         lines = np.stack(np.broadcast_arrays(places, shares), axis=-1)
@@ -138,30 +141,30 @@ def draw_importance_ranking(ax: Axes, ranked: pd.DataFrame, results: Results) ->
 
 def scatter_over_two_parameters(ax: Axes, results: Results, columns: list[str]) -> None:
     """Scatter the rollouts over the two most important parameters; over one parameter, by outcome."""
-    every = list(rows_by_kind(results.rows, columns[:2]))
+    every = list(rows_by_outcome_kind(results.rows, columns[:2]))
     for place, (kind, part) in enumerate(every):
         x = part[columns[0]]
         y = part[columns[1]] if len(columns) > 1 else pd.Series(float(place), index=part.index)
-        draw_dots(ax, x, y, kind, len(results.rows))
+        draw_rollout_dots(ax, x, y, kind, len(results.rows))
     ax.set_xlabel(axis_title(columns[0], results.exp))
     if len(columns) > 1:
         ax.set_ylabel(axis_title(columns[1], results.exp))
-        end_axes_at_zero(ax)
+        clip_axes_at_zero(ax)
     else:
         ax.set_yticks(range(len(every)), [kind.replace("_", " ") for kind, _ in every])
 
 
 def draw_margins(ax: Axes, results: Results, column: str) -> None:
     """Draw the margin of each rollout to its nearest threshold over the parameter that matters most."""
-    for kind, part in rows_by_kind(results.rows, [column, MARGIN_COLUMN]):
-        draw_dots(ax, part[column], part[MARGIN_COLUMN], kind, len(results.rows))
+    for kind, part in rows_by_outcome_kind(results.rows, [column, MARGIN_COLUMN]):
+        draw_rollout_dots(ax, part[column], part[MARGIN_COLUMN], kind, len(results.rows))
     ax.set_yscale("symlog", linthresh=LINEAR_MARGIN_RANGE)
     ax.axhline(0, color="0.3", linewidth=0.8, linestyle="--")
     ax.set_xlabel(axis_title(column, results.exp))
     ax.set_ylabel("margin to the nearest limit")
 
 
-def draw_dots(ax: Axes, x: pd.Series, y: pd.Series, kind: str, total: int) -> None:
+def draw_rollout_dots(ax: Axes, x: pd.Series, y: pd.Series, kind: str, total: int) -> None:
     """Draw the rollouts of one outcome kind as dots; a random part if the plot would exceed `MAX_DOTS` in total.
 
     More rollouts get smaller dots.

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from sweep.analysis.stats import bin_values, format_percent
 from sweep.core.distinct_values import count_distinct
 from sweep.core.plot_style import COLUMN_WIDTH_IN, new_figure
-from sweep.report.cells import axis_places, evenly_spaced, label_axis_values, lay_out_cells
+from sweep.report.cells import axis_positions, is_evenly_spaced, label_axis_values, lay_out_cells
 from sweep.report.figure import StudyFigure
 from sweep.report.labels import axis_title
 from sweep.report.maps import draw_cell_values
@@ -28,7 +28,7 @@ def engine_figure(results: Results) -> Iterator[StudyFigure]:
     if len(x_y) < 2 or found.empty:
         return
     engines = [c for c in found if str(c).startswith("outcome on ")]
-    names, rate = ", ".join(c.removeprefix("outcome on ") for c in engines), engine_audit.agreement_rate(results)
+    names, rate = ", ".join(str(c).removeprefix("outcome on ") for c in engines), engine_audit.agreement_rate(results)
     sure = f" ({format_percent(rate.low)} to {format_percent(rate.high)})" if rate.has_interval else ""
     caption = (
         f"Share of rollouts on which the engines {names} give the same valid outcome: {rate.successes:,} of "
@@ -52,7 +52,7 @@ def _draw_engines(results: Results, data: pd.DataFrame) -> Figure:
     draw_cell_values(ax, cells, layout, cmap="cividis", vmin=0, vmax=1)
     label_axis_values(ax, layout)
     across, up = (
-        data[name] if evenly_spaced(places) else axis_places(cells[axis].to_numpy(), places)
+        data[name] if is_evenly_spaced(places) else axis_positions(cells[axis].to_numpy(), places)
         for name, axis, places in ((x, "x", layout.x), (y, "y", layout.y))
     )
     failed = agree & (data.filter(like="outcome on ").iloc[:, 0] == "failure").to_numpy()

@@ -11,12 +11,19 @@ from matplotlib.figure import Figure
 from sweep.analysis import compare, sensitivity
 from sweep.analysis.compare import SECOND_RUN_MARK
 from sweep.analysis.sample import is_random_sample
-from sweep.analysis.sampling_units import draw_interval_method, interval_method, interval_units
+from sweep.analysis.sampling_units import confidence_interval_unit_ids, interval_method, interval_method_by_draw
 from sweep.analysis.stats import bin_values, format_percent, success_rate, success_rates
 from sweep.core.distinct_values import count_distinct
-from sweep.core.plot_style import COLUMN_WIDTH_IN, PAGE_WIDTH_IN, fit_ticks, legend_below, new_figure, use_whole_ticks
+from sweep.core.plot_style import (
+    COLUMN_WIDTH_IN,
+    PAGE_WIDTH_IN,
+    add_legend_below,
+    limit_x_ticks,
+    new_figure,
+    use_integer_ticks,
+)
 from sweep.report import draws, sections, time_series_plots
-from sweep.report.cells import end_axes_at_zero
+from sweep.report.cells import clip_axes_at_zero
 from sweep.report.engine_agreement import engine_figure
 from sweep.report.figure import StudyFigure
 from sweep.report.labels import axis_title, axis_words
@@ -63,12 +70,12 @@ def map_figures(results: Results) -> Iterator[StudyFigure]:
         if "total" not in table:
             caption = f"Single rollouts{', ' + one.note if one.note else ''}."
         else:
-            method = draw_interval_method(results.exp.study)
+            method = interval_method_by_draw(results.exp.study)
             sure = f", between the ends of its 95 % interval ({method})" if table["low"].notna().any() else ""
             low, high = table["total"].min(), table["total"].max()
             many = f"{low}" if low == high else f"{low} to {high}"
             caption = f"Rate of success of {many} rollouts a cell{', ' + one.note if one.note else ''}{sure}."
-        left_out = count_invalid(one.rows[one.rows["known"]] if one.refined else one.rows, "hatched")
+        left_out = describe_invalid_count(one.rows[one.rows["known"]] if one.refined else one.rows, "hatched")
         yield StudyFigure(
             f"map-{number}",
             title,
@@ -78,7 +85,7 @@ def map_figures(results: Results) -> Iterator[StudyFigure]:
         )
 
 
-def count_invalid(rows: pd.DataFrame, where: str) -> str:
+def describe_invalid_count(rows: pd.DataFrame, where: str) -> str:
     """Describe how many of the rows are invalid; empty if none is."""
     found = success_rate(rows["outcome"])
     if not found.invalid:
@@ -122,7 +129,7 @@ def effects_figure(results: Results) -> Iterator[StudyFigure]:
             value = results.rows[axis]
             if count_distinct(value, EFFECT_VALUES) > EFFECT_VALUES:
                 value, in_bins = bin_values(value, EFFECT_BINS), True
-            units = interval_units(results.rows, results.exp)
+            units = confidence_interval_unit_ids(results.rows, results.exp)
             found = success_rates(results.rows.assign(value=value), [*by, "value"], unit=units).assign(axis=axis)
             if not is_random_sample(results.rows, results.exp, (axis, *by)):
                 found[["low", "high"]] = np.nan
@@ -132,14 +139,14 @@ def effects_figure(results: Results) -> Iterator[StudyFigure]:
             return
         table = pd.concat(tables, ignore_index=True)
         sure = table.groupby("axis")["low"].agg(lambda low: low.notna().any())
-        method = draw_interval_method(results.exp.study)
+        method = interval_method_by_draw(results.exp.study)
         interval = f", with its 95 % interval ({method})" + ("" if sure.all() else " where these are drawn")
         where = f"in {EFFECT_BINS} bins of equal width" if in_bins else "at each value"
         if in_bins and len(tables) > 1:
             where += f", or at each value where there are at most {EFFECT_VALUES},"
         caption = f"Rate of success {where} of one parameter, over all others{interval if sure.any() else ''}."
     table = table[["axis", *by, *table.columns.drop(["axis", *by])]]
-    caption += count_invalid(results.rows, "left out")
+    caption += describe_invalid_count(results.rows, "left out")
     yield StudyFigure("effects", "Each parameter alone", caption, table, lambda: _draw_effects(results, table, by))
 
 
@@ -155,11 +162,11 @@ def _draw_effects(results: Results, table: pd.DataFrame, by: list[str]) -> Figur
             ax.fill_between(part["value"], part["low"], part["high"], color=colour, alpha=0.2, linewidth=0)
             ax.plot(part["value"], part["share"], line, marker=marker, ms=3, color=colour, label=f"{title}{name}")
         ax.set(xlabel=axis_title(axis, results.exp), ylabel="rate of success")
-        end_axes_at_zero(ax)
-        fit_ticks(ax, min(len(axes), columns))
+        clip_axes_at_zero(ax)
+        limit_x_ticks(ax, min(len(axes), columns))
         ax.set_ylim(-0.02, 1.02)
     if by:  # below: in a panel it would lie on its lines
-        legend_below(figure, [line for ax in spots for line in ax.get_lines()])
+        add_legend_below(figure, [line for ax in spots for line in ax.get_lines()])
     if results.is_one_at_a_time and results.exp.study.has_repeats:
         _draw_fits(results, dict(zip(axes, spots, strict=True)))
     return figure
@@ -175,8 +182,8 @@ def _draw_fits(results: Results, spots: dict[str, Axes]) -> None:
             if (most := np.abs(away[here]).max(initial=0)) > 0:
                 success = rows["outcome"].to_numpy()[here] == "success"
                 fit = sensitivity.fit_logistic(np.abs(away[here]), success)
-                unit = interval_units(rows[here], results.exp)
-                if sensitivity.goodness_of_fit_p(fit, np.abs(away[here]), success, unit) < MAX_REJECTED_P:
+                unit = confidence_interval_unit_ids(rows[here], results.exp)
+                if sensitivity.goodness_of_fit_p_value(fit, np.abs(away[here]), success, unit) < MAX_REJECTED_P:
                     continue
                 size = np.linspace(0, most, 50)
                 spots[axis.column].plot(centre + sign * size, fit.probability(size)[0], ":", color="0.3", linewidth=1)
@@ -207,21 +214,23 @@ def _draw_causes(table: pd.DataFrame) -> Figure:
     for y, total in enumerate(left):
         ax.annotate(f"{total:,.0f}", (total, y), xytext=(4, 0), textcoords="offset points", va="center")
     ax.invert_yaxis()
-    use_whole_ticks(ax.xaxis)
+    use_integer_ticks(ax.xaxis)
     ax.set(xlabel="rollouts", ylabel="stage")
     ax.spines[["top", "right"]].set_visible(False)
-    legend_below(figure, [legend_cell(str(c).replace("_", " "), find_style(str(c)).colour, str(c)) for c in table])
+    add_legend_below(figure, [legend_cell(str(c).replace("_", " "), find_style(str(c)).colour, str(c)) for c in table])
     return figure
 
 
 def distributions_figure(results: Results) -> Iterator[StudyFigure]:
     """Yield histograms of the metrics that tell failures from successes best."""
-    names = sorted(metrics_with_threshold_first(results), key=lambda c: -outcome_distance(results, c))[:MAX_HISTOGRAMS]
+    names = sorted(metrics_with_threshold_first(results), key=lambda c: -outcome_ks_distance(results, c))[
+        :MAX_HISTOGRAMS
+    ]
     if not names:
         return
     tables, clipped = [], []
     for name in names:
-        low, high = clipped_range(results.rows[name])
+        low, high = histogram_range(results.rows[name])
         values = results.rows[name].clip(low, high)
         if low > results.rows[name].min() or high < results.rows[name].max():
             clipped.append(axis_words(name))
@@ -242,7 +251,7 @@ def distributions_figure(results: Results) -> Iterator[StudyFigure]:
     yield StudyFigure("distributions", "Distributions", caption, data, lambda: _draw_distributions(results, data))
 
 
-def outcome_distance(results: Results, column: str) -> float:
+def outcome_ks_distance(results: Results, column: str) -> float:
     """Kolmogorov-Smirnov distance between a metric's values of failures and of successes; 0 without either."""
     values, outcome = results.rows[column].to_numpy(dtype=float), results.rows["outcome"].to_numpy()
     failed, succeeded = (np.sort(values[(outcome == one) & np.isfinite(values)]) for one in ("failure", "success"))
@@ -253,7 +262,7 @@ def outcome_distance(results: Results, column: str) -> float:
     return float(np.abs(np.subtract(*shares)).max())
 
 
-def clipped_range(values: pd.Series) -> tuple[float, float]:
+def histogram_range(values: pd.Series) -> tuple[float, float]:
     """Range of a histogram: all finite values, or those between the 1st and 99th percentile if the others would crush
     it."""
     finite = values[np.isfinite(values)].to_numpy(dtype=float)
@@ -292,7 +301,7 @@ def _draw_audits(results: Results, data: pd.DataFrame) -> Figure:
     ways = list(data.groupby("simulated", sort=False))
     figure, spots = _panels(len(ways))
     for (way, part), ax in zip(ways, spots, strict=True):
-        changed = compare.outcome_changes(part)
+        changed = compare.outcome_change_mask(part)
         broken = (part[["outcome", f"outcome{SECOND_RUN_MARK}"]] == "invalid").any(axis=1)
         for chosen, mark, colour in (
             (~changed, ".", SUCCESS_COLOUR),
@@ -347,10 +356,10 @@ def _draw_distributions(results: Results, data: pd.DataFrame) -> Figure:
         if limit is not None and low - (high - low) < limit < high + (high - low):  # else it would flatten the rest
             ax.axvline(limit, color="black", linestyle="--", linewidth=1)
         ax.set_xlabel(axis_title(name))
-        fit_ticks(ax, min(len(names), 3))
-        use_whole_ticks(ax.yaxis)
+        limit_x_ticks(ax, min(len(names), 3))
+        use_integer_ticks(ax.yaxis)
         ax.spines[["top", "right"]].set_visible(False)
-    legend_below(figure, [one for ax in spots for one in ax.get_legend_handles_labels()[0]])
+    add_legend_below(figure, [one for ax in spots for one in ax.get_legend_handles_labels()[0]])
     return figure
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from sweep.analysis import rare
-from sweep.analysis.sample import pooled_rate
+from sweep.analysis.sample import pooled_success_rate
 from sweep.analysis.stats import format_percent
 from sweep.config.experiment import Experiment
 from sweep.core.errors import InputError, escape_control_characters
@@ -25,8 +25,8 @@ def study_headline(rows: pd.DataFrame, exp: Experiment) -> str:
         P(failure) with its interval: its rows are no sample, so that their share of successes is no rate.
     """
     if not exp.study.is_adaptive:
-        return f"{pooled_rate(rows, exp)}{f'; {PLACED_AT_BOUNDARY}' if exp.study.is_refined else ''}"
-    return f"{probability_of_failure(rows, exp)}; {describe_placed_rollouts(rows)}"
+        return f"{pooled_success_rate(rows, exp)}{f'; {PLACED_AT_BOUNDARY}' if exp.study.is_refined else ''}"
+    return f"{probability_of_failure(rows, exp)}; {describe_adaptive_rollouts(rows)}"
 
 
 def describe_setup(results: Results) -> str:
@@ -40,7 +40,7 @@ def describe_setup(results: Results) -> str:
 def describe_design(results: Results) -> str:
     """Name the design of a study in a few words: how its points were chosen."""
     study = results.exp.study
-    parts = ["each parameter alone" if results.is_one_at_a_time else "grid"] if results.listed_numeric_columns else []
+    parts = ["each parameter alone" if results.is_one_at_a_time else "grid"] if results.numeric_grid_columns else []
     if study.points:
         parts = ["points from a file"]
     if study.is_refined:
@@ -88,7 +88,7 @@ def probability_of_failure(rows: pd.DataFrame, exp: Experiment) -> str:
     return f"P(failure) = {found.probability:.3g} ({interval}){caution}"
 
 
-def describe_placed_rollouts(rows: pd.DataFrame) -> str:
+def describe_adaptive_rollouts(rows: pd.DataFrame) -> str:
     """State how many rollouts an adaptive search has simulated, and how many of them failed or are invalid."""
     failed, invalid = (int((rows["outcome"] == kind).sum()) for kind in ("failure", "invalid"))
     return f"{len(rows):,} rollouts placed where failures are expected, of which {failed:,} failed, {invalid:,} invalid"

@@ -27,13 +27,13 @@ def outcome_kind(rows: pd.DataFrame) -> pd.Series:
     return cause.where(rows["outcome"] != SUCCESS, SUCCESS).astype(str)
 
 
-def kind_meaning(kind: str, exp: Experiment) -> str:
+def explain_outcome_kind(kind: str, exp: Experiment) -> str:
     """Describe in a sentence what success, or a failure cause, means."""
     nothing = "no cause of failure or invalidity occurred"
     return exp.system.cause_meanings(exp.thresholds).get(kind, nothing)
 
 
-def name_and_unit(column: str) -> tuple[str, str]:
+def split_metric_column(column: str) -> tuple[str, str]:
     """Split a metric's column into words and unit: `slip_max_m` -> (`slip max`, `m`); the unit may be empty."""
     head, _, last = column.rpartition("_")
     return (
@@ -144,7 +144,7 @@ def column_unit(column: str, exp: Experiment) -> str:
         The unit, such as `N·m`; empty for pure numbers and names.
     """
     if "." not in column:
-        return name_and_unit(column)[1]
+        return split_metric_column(column)[1]
     return format_unit(unit_of_column(column, exp.system, exp.settings))
 
 
@@ -161,5 +161,5 @@ def label_and_unit(column: str, exp: Experiment | None = None) -> tuple[str, str
         words, unit = label_and_unit(column.removesuffix(SECOND_RUN_MARK), exp)
         return f"{words}{SECOND_RUN_MARK}", unit
     if "." not in column:
-        return name_and_unit(column)
+        return split_metric_column(column)
     return axis_words(column, exp), column_unit(column, exp) if exp else ""

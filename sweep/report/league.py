@@ -6,12 +6,12 @@ from matplotlib.figure import Figure
 
 from sweep.analysis.league import (
     NOT_DECIDED,
-    LeagueRows,
-    Race,
-    better_matrix,
-    condition_table,
-    pair_table,
-    rate_table,
+    PairedPolicyOutcomes,
+    PolicyRace,
+    decided_win_matrix,
+    pairwise_test_table,
+    policy_success_rates,
+    policy_success_rates_by_condition,
     standings,
 )
 from sweep.analysis.stats import format_percent
@@ -24,27 +24,27 @@ WON, CAUSE = "outcome of policy {}", "cause of policy {}"  # columns of paired r
 BETTER, OPEN, WORSE = "▲", "·", "▽"  # than the policy of the column
 
 
-def standings_of(league: LeagueRows, level: float) -> tuple[pd.DataFrame, pd.DataFrame]:
+def standings_and_pair_table(league: PairedPolicyOutcomes, level: float) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return a table of the policies, sorted by success rate, and a table that compares all pairs of them.
 
     Args:
         league: Outcomes of the policies.
         level: Confidence level of all verdicts together, and of all intervals together.
     """
-    rates, pairs = rate_table(league, level), pair_table(league, level)
+    rates, pairs = policy_success_rates(league, level), pairwise_test_table(league, level)
     if league.unit is None:
         return rates.sort_values("share", ascending=False, kind="stable").reset_index(drop=True), pairs
-    return standings(rates, better_matrix(pairs, league.policies)), pairs
+    return standings(rates, decided_win_matrix(pairs, league.policies)), pairs
 
 
 def format_league(
-    league: LeagueRows, table: pd.DataFrame, pairs: pd.DataFrame, level: float, unit: str, by: list[str]
+    league: PairedPolicyOutcomes, table: pd.DataFrame, pairs: pd.DataFrame, level: float, unit: str, by: list[str]
 ) -> str:
     """Describe the comparison of several policies as Markdown: success rates with ranks, pairs and conditions.
 
     Args:
         league: Outcomes of the policies.
-        table: Sorted policies, see `standings_of`.
+        table: Sorted policies, see `standings_and_pair_table`.
         pairs: Pairs with their verdicts.
         level: Confidence level of all verdicts together, and of all intervals together.
         unit: Plural of the independent unit.
@@ -62,13 +62,13 @@ def format_league(
     shares = [c for c in ("difference", "low", "high") if c in pairs]
     lines.append(markdown_table(pairs.assign(**{c: [format_percent(v) for v in pairs[c]] for c in shares})))
     if by:
-        rates = condition_table(league, by, level)
+        rates = policy_success_rates_by_condition(league, by, level)
         shown = rates.assign(**{name: [format_percent(v) for v in rates[name]] for name in league.policies})
         lines += ["", f"By {', '.join(by)}:", "", markdown_table(shown)]
     return "\n".join(lines) + "\n"
 
 
-def describe_points(league: LeagueRows, unit: str) -> str:
+def describe_points(league: PairedPolicyOutcomes, unit: str) -> str:
     """Describe on how many points policies were compared, and whether these are a random sample.
 
     Args:
@@ -78,7 +78,7 @@ def describe_points(league: LeagueRows, unit: str) -> str:
     text = f"{len(league.policies)} policies on the same {len(league.success):,} points"
     if league.unit is None:
         return f"{text}, which were chosen and not drawn: no intervals and no verdicts"
-    return f"{text} ({league.unit_count:,} {unit})"
+    return f"{text} ({league.independent_unit_count:,} {unit})"
 
 
 def count_decided_pairs(pairs: pd.DataFrame) -> str:
@@ -94,7 +94,7 @@ def describe_confidence(level: float) -> str:
     )
 
 
-def format_race(policies: list[str], race: Race, units: list[int], unit: str, only_best: bool) -> str:
+def format_race(policies: list[str], race: PolicyRace, units: list[int], unit: str, only_best: bool) -> str:
     """Describe the state of a sequential comparison of policies (race) as text.
 
     Args:
@@ -124,7 +124,7 @@ def draw_league(table: pd.DataFrame, pairs: pd.DataFrame) -> Figure:
     """Draw the rates of the policies with their intervals, and a matrix of which policy beats which.
 
     Args:
-        table: Sorted policies, see `standings_of`.
+        table: Sorted policies, see `standings_and_pair_table`.
         pairs: Pairs with their verdicts.
     """
     names = [str(name) for name in table["policy"]]
@@ -144,7 +144,7 @@ def draw_league(table: pd.DataFrame, pairs: pd.DataFrame) -> Figure:
     right.set_aspect("equal")
     right.set_xlabel("row is better ▲ or worse ▽ than column")
     if "verdict" in pairs:
-        better = better_matrix(pairs, names)
+        better = decided_win_matrix(pairs, names)
         for i, j in np.ndindex(better.shape):
             mark, colour = (
                 (BETTER, SUCCESS_COLOUR) if better[i, j] else (WORSE, FAILURE_COLOUR) if better[j, i] else (OPEN, "0.4")

@@ -12,7 +12,7 @@ import jinja2
 import pandas as pd
 from markupsafe import Markup
 
-from sweep.analysis.league import NOT_DECIDED, LeagueRows
+from sweep.analysis.league import NOT_DECIDED, PairedPolicyOutcomes
 from sweep.config.experiment import Experiment
 from sweep.core.files import write_atomically
 from sweep.report.league import (
@@ -38,8 +38,8 @@ CLASSES = {BETTER: "better", WORSE: "worse", OPEN: "open"}
 class LeagueContent:
     """Outcomes of several policies and what follows from them."""
 
-    league: LeagueRows
-    table: pd.DataFrame  # sorted policies, see `league.standings_of`
+    league: PairedPolicyOutcomes
+    table: pd.DataFrame  # sorted policies, see `league.standings_and_pair_table`
     pairs: pd.DataFrame  # with their verdicts
     level: float  # confidence of all statements together
     unit: str  # plural of the independent unit
@@ -77,7 +77,7 @@ def render_league_page(
     own = [c for k in range(len(league.policies)) for c in (WON.format(k), CAUSE.format(k))]
     results = Results(first, store.read_study(first), exp, league.conditions.drop(columns=own), None)
     results = replace(results, rows=results.rows.assign(outcome="success", cause="", stage=""))
-    about = data.page_data(results) | {"curves": [], "replays": []}
+    about: dict[str, Any] = data.page_data(results) | {"curves": [], "replays": []}
     sides = {name: policy_outcomes(league, name) for name in table["policy"]}
     about["sides"] = data.describe_sides(results, sides, [])
     style, script = style_sheet(), bundle_script()
@@ -105,7 +105,7 @@ def render_league_page(
     )
 
 
-def policy_outcomes(league: LeagueRows, policy: str) -> pd.DataFrame:
+def policy_outcomes(league: PairedPolicyOutcomes, policy: str) -> pd.DataFrame:
     """Return the columns `outcome` and `cause` of a policy at each point of a league.
 
     Args:

@@ -18,18 +18,18 @@ from matplotlib.patches import Patch, PathPatch, Rectangle
 from matplotlib.path import Path
 from matplotlib.transforms import Affine2D
 
-from sweep.analysis.sample import pooled_rate
+from sweep.analysis.sample import pooled_success_rate
 from sweep.config.experiment import Experiment, build_experiment
 from sweep.core.distinct_values import has_several_values
 from sweep.core.expressions import find_column
 from sweep.core.outcomes import SUCCESS
 from sweep.core.parameters import InputError
-from sweep.core.plot_style import FONT_SIZE_PT, PAGE_WIDTH_IN, legend_below, wrap_text
+from sweep.core.plot_style import FONT_SIZE_PT, PAGE_WIDTH_IN, add_legend_below, wrap_text
 from sweep.report import analytic_curves
-from sweep.report.cells import MapCells, axis_places, cell_edges, label_axis_values, lay_out_cells
-from sweep.report.headline import describe_placed_rollouts
+from sweep.report.cells import MapCells, axis_positions, cell_edges, label_axis_values, lay_out_cells
+from sweep.report.headline import describe_adaptive_rollouts
 from sweep.report.labels import axis_title, label_with_value
-from sweep.report.outcome_style import INVALID_CELL_COLOUR, find_style, glyph_ink, marker_path
+from sweep.report.outcome_style import INVALID_CELL_COLOUR, find_style, glyph_colour, marker_path
 from sweep.runs import refine
 
 # cells, with more of which outlines would cover the colours; cells along a panel that have room for a glyph; boxes that
@@ -55,12 +55,12 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
     x, y = map_axes(rows, chosen)
     exp = build_experiment(stored["config"])
     guessed = exp.study.resolution > 0 and {x, y} == {a.column for a in refine.make_lattice(exp.study).axes}
-    rows = refine.rows_with_filled_cells(exp, rows) if guessed else rows.assign(known=True)
+    rows = refine.add_inferred_rows(exp, rows) if guessed else rows.assign(known=True)
     rows, cells = lay_out_cells(rows, x, y)
     panels = list(split_panels(rows, x, y, exp=exp))
     counts = [panel.groupby([x, y]).size() for _, panel in panels]
     most = max(int(count.max()) for count in counts)
-    measured = analytic_curves.measured_metrics(exp, rows)
+    measured = analytic_curves.analytic_limit_metrics(exp, rows)
     columns = len(panels) * (1 + len(measured))
     figure, axes = plt.subplots(
         1,
@@ -76,11 +76,11 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
         if measure:
             draw_metric(ax, panel, cells, measure)
         else:
-            (draw_outcomes if most == 1 else draw_rates)(ax, panel, cells)
+            (draw_outcomes if most == 1 else draw_success_rates)(ax, panel, cells)
             text = (
-                describe_placed_rollouts(panel)
+                describe_adaptive_rollouts(panel)
                 if exp.study.is_adaptive
-                else str(pooled_rate(panel, exp)).replace(" (", "\n(", 1)
+                else str(pooled_success_rate(panel, exp)).replace(" (", "\n(", 1)
             )
             if guessed:  # the share of rollouts that succeed says nothing where they were placed near the boundary
                 draw_refined_cells(ax, exp, panel, x, y, cells)
@@ -89,7 +89,7 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
         label_axis_values(ax, cells)
         ax.set_title("\n".join(wrap_text(one, room) for one in heads))
         ax.set_xlabel(axis_title(x, exp))
-        analytic_curves.draw_limits(ax, exp, panel, x, y, cells)
+        analytic_curves.draw_limit_curves(ax, exp, panel, x, y, cells)
     axes[0, 0].set_ylabel(axis_title(y, exp))
     lines, _ = axes[0, 0].get_legend_handles_labels()
     invalid = bool((rows["outcome"] == "invalid").any())
@@ -202,10 +202,12 @@ def cause_glyph(cause: str) -> Line2D:
     """Return the glyph (marker) of a cause, in a colour that contrasts with its cell."""
     look = find_style(cause)
     style: dict[str, Any] = {"marker": marker_path(cause), "markersize": GLYPH_SIZE_PT * np.abs(look.shape).max()}
-    return Line2D([], [], linestyle="", color=glyph_ink(look.colour), markeredgewidth=0, **style)
+    return Line2D([], [], linestyle="", color=glyph_colour(look.colour), markeredgewidth=0, **style)
 
 
-def equal_runs(grid: np.ndarray, cells: MapCells) -> Iterator[tuple[tuple[tuple[float, float], float, float], Any]]:
+def equal_cell_runs(
+    grid: np.ndarray, cells: MapCells
+) -> Iterator[tuple[tuple[tuple[float, float], float, float], Any]]:
     """Yield runs of neighbouring cells with equal values in each line of a grid: corner, width, height and value."""
     x, y = cell_edges(cells.x).tolist(), cell_edges(cells.y).tolist()
     for j, line in enumerate(grid):
@@ -230,7 +232,7 @@ def cell_means(rows: pd.DataFrame, cells: MapCells, name: str) -> np.ma.MaskedAr
     return mean.reshape(len(cells.y), len(cells.x))
 
 
-def draw_rates(ax: Axes, rows: pd.DataFrame, cells: MapCells) -> None:
+def draw_success_rates(ax: Axes, rows: pd.DataFrame, cells: MapCells) -> None:
     """Colour a map's cells by the success rate of valid rollouts."""
     draw_cell_values(
         ax, rows.assign(value=(rows["outcome"] == "success").astype(float)), cells, cmap="cividis", vmin=0, vmax=1
@@ -243,7 +245,7 @@ def draw_cell_values(ax: Axes, rows: pd.DataFrame, cells: MapCells, **style: Any
     draw_cells(ax, cell_means(rows[~invalid], cells, "value"), cells, **style)
     doubtful = np.zeros((len(cells.y), len(cells.x)), dtype=bool)
     doubtful[cell_indices(rows[invalid], cells)] = True
-    boxes = [box for box, broken in equal_runs(doubtful, cells) if broken] if invalid.any() else []
+    boxes = [box for box, broken in equal_cell_runs(doubtful, cells) if broken] if invalid.any() else []
     if doubtful.size <= MAX_OUTLINED_CELLS:
         for box in boxes:
             ax.add_patch(Rectangle(*box, fill=False, hatch="////", linewidth=0.4))
@@ -268,12 +270,12 @@ def draw_refined_cells(ax: Axes, exp: Experiment, painted: pd.DataFrame, x: str,
         columns = [a.column for a in panel.lattice.axes]
         for power, corners in enumerate(panel.cells if panel.rollouts else ()):
             (left, right), (low, high) = (
-                [axis_places(panel.lattice.values[k][corners[:, k] + step], values) for step in (0, 2**power)]
+                [axis_positions(panel.lattice.values[k][corners[:, k] + step], values) for step in (0, 2**power)]
                 for k, values in zip(map(columns.index, (x, y)), cells[:2], strict=True)
             )
             boxes = np.stack([[left, low], [right, low], [right, high], [left, high]]).transpose(2, 0, 1)
             ax.add_collection(PolyCollection(list(boxes), facecolor="none", edgecolor="0.35", linewidth=0.3))
-    dots = [axis_places(rows[c].to_numpy(), values) for c, values in zip((x, y), cells[:2], strict=True)]
+    dots = [axis_positions(rows[c].to_numpy(), values) for c, values in zip((x, y), cells[:2], strict=True)]
     ax.plot(*dots, ".", markersize=1.5, color="black")
 
 
@@ -289,7 +291,7 @@ def draw_legend(figure: Figure, kinds: Sequence[str], shaped: bool, invalid: boo
     handles: list[Any] = [legend_cell(kind.replace("_", " "), find_style(kind).colour, glyphs[kind]) for kind in kinds]
     if invalid:
         handles.append(Patch(facecolor=INVALID_CELL_COLOUR, edgecolor="black", hatch="////", label="invalid"))
-    legend_below(figure, [*handles, *lines])
+    add_legend_below(figure, [*handles, *lines])
 
 
 def legend_cell(label: str, colour: str, cause: str = "") -> tuple[Line2D, ...]:

@@ -18,7 +18,7 @@ from sweep.core.plot_style import PAGE_WIDTH_IN, new_figure, wrap_text
 from sweep.core.spacing import evenly_spaced_indices
 from sweep.report import maps, replays
 from sweep.report.cells import MapCells, label_axis_values
-from sweep.report.comparison import default_regions, name_pair_columns
+from sweep.report.comparison import default_region_parameters, describe_pair_columns
 from sweep.report.figure import StudyFigure
 from sweep.report.labels import axis_title, axis_words
 from sweep.report.page.replay_data import ShownReplay
@@ -69,7 +69,9 @@ def pairs_headline(pairs: pd.DataFrame, a: Path, b: Path, unit: np.ndarray | Non
         b: folder of the second study.
         unit: independent unit of each pair (n,); None where pairs are no sample.
     """
-    return f"A is {a}, B is {b}: {len(pairs):,} pairs{name_pair_columns(pairs)}. {compare.count_flips(pairs, unit)}."
+    return (
+        f"A is {a}, B is {b}: {len(pairs):,} pairs{describe_pair_columns(pairs)}. {compare.count_flips(pairs, unit)}."
+    )
 
 
 def pairs_tables(pairs: pd.DataFrame, unit: np.ndarray | None = None) -> Iterator[tuple[str, pd.DataFrame]]:
@@ -82,13 +84,13 @@ def pairs_tables(pairs: pd.DataFrame, unit: np.ndarray | None = None) -> Iterato
     Returns:
         Title and table of each; nothing if all outcomes agree.
     """
-    if not compare.outcome_changes(pairs).any():
+    if not compare.outcome_change_mask(pairs).any():
         return
-    if axes := default_regions(pairs):
+    if axes := default_region_parameters(pairs):
         words = " and ".join(map(axis_words, axes))
         test = "" if unit is None else " (McNemar's p, and corrected for so many)"
         yield f"Flips by region of {words}{test}", compare.flips_by_region(pairs, axes, unit)
-    yield "What became what", compare.cause_changes(pairs)
+    yield "What became what", compare.count_cause_transitions(pairs)
     yield "Pairs that differ", compare.changed_pairs(pairs).head(MAX_LISTED_PAIRS)
 
 
@@ -104,8 +106,8 @@ def replay_flipped_pairs(a: Results, b: Results, number: int, progress: Callable
     found, pairs = join_pairs(a, b)
     flipped = np.flatnonzero(found.rows["cause"].isin([ONLY_A, ONLY_B]))
     some = flipped[evenly_spaced_indices(len(flipped), number)]
-    for side, names in ((a, replay_names(pairs, "")), (b, replay_names(pairs, SECOND_RUN_MARK))):
-        rows = side.rows[replay_names(side.rows, "").isin(names.iloc[some])]
+    for side, names in ((a, replay_file_names(pairs, "")), (b, replay_file_names(pairs, SECOND_RUN_MARK))):
+        rows = side.rows[replay_file_names(side.rows, "").isin(names.iloc[some])]
         replays.make_replays(side, rows.assign(why="one succeeds, the other fails"), progress)
 
 
@@ -117,8 +119,10 @@ def read_pair_replays(a: Results, b: Results) -> Iterator[ShownReplay]:
         b: second study.
     """
     found, pairs = join_pairs(a, b)
-    of_b = {name: kept for place, kept in replays.read_replays(b) for name in replay_names(b.rows.iloc[[place]], "")}
-    names = replay_names(pairs, SECOND_RUN_MARK)
+    of_b = {
+        name: kept for place, kept in replays.read_replays(b) for name in replay_file_names(b.rows.iloc[[place]], "")
+    }
+    names = replay_file_names(pairs, SECOND_RUN_MARK)
     for place, kept in replays.read_replays(replace(a, rows=found.rows)):
         row, pair = found.rows.iloc[place], pairs.iloc[place]
         for side, mark, replay in (("A", "", kept), ("B", SECOND_RUN_MARK, of_b.get(names.iloc[place]))):
@@ -127,7 +131,7 @@ def read_pair_replays(a: Results, b: Results) -> Iterator[ShownReplay]:
                 yield ShownReplay(-1 if mark else place, row, replay, f"{side} {came}, {row['point_id'][:6]}")
 
 
-def replay_names(rows: pd.DataFrame, mark: str) -> pd.Series:
+def replay_file_names(rows: pd.DataFrame, mark: str) -> pd.Series:
     """Return the name of each row's replay file, from the columns whose names end in `mark`."""
     point = rows[f"point_id{mark}"] if f"point_id{mark}" in rows else rows["point_id"]
     return rows[f"run_id{mark}"].astype(str) + "-" + point.astype(str)
@@ -140,7 +144,7 @@ def difference_figure(difference: Results, pairs: pd.DataFrame) -> Iterator[Stud
         found: rows of A that have a pair, see `join_pairs`.
         pairs: paired rows.
     """
-    axes = default_regions(pairs)
+    axes = default_region_parameters(pairs)
     if len(axes) == 2:
         x, y = axes
         valid = (pairs["outcome"] != INVALID) & (pairs[f"outcome{SECOND_RUN_MARK}"] != INVALID)

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from sweep.analysis import rare
-from sweep.analysis.sample import is_random_sample, pooled_rate
+from sweep.analysis.sample import is_random_sample, pooled_success_rate
 from sweep.analysis.sampling_units import interval_method
 from sweep.core.errors import InputError
 from sweep.core.expressions import condition_mask
@@ -94,7 +94,7 @@ def write_paper(results: Results, out: Path, serif: bool = False) -> list[Path]:
     texts["numbers.tex"] = "".join(macro_definition(results, one, paths[0].name) for one in numbers)
     every = "".join([results.name, *texts.values(), *captions.values(), *(one.title + one.caption for one in shown)])
     every += describe_setup(results)
-    cyrillic, unknown, others = find_other_letters(every)
+    cyrillic, unknown, others = find_non_latin_letters(every)
     if unknown:
         font, package = (OTHER_FONTS[0], "noto-cjk") if others else (ALPHABET_FONTS[1], "freefont-otf")
         letters = f"pdflatex cannot print {''.join(unknown)}"
@@ -160,7 +160,7 @@ def summary_tables(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
         parts += [(f"{heading(column, results.exp)} {value}", part) for value, part in rows.groupby(column)]
     lines = []
     for name, part in parts:
-        one = pooled_rate(part, results.exp)
+        one = pooled_success_rate(part, results.exp)
         shares = ("" if np.isnan(v) else f"{100 * v:.1f}" for v in (one.share, one.low, one.high))
         lines.append((name, one.total, one.invalid, one.successes, *shares))
     method = interval_method(results.exp.study)
@@ -201,7 +201,7 @@ def quotable_numbers(results: Results, failure: FailureEstimate | None) -> Itera
         failure: estimated probability of failure, of a study that searches for failures; None for others.
     """
     rows, start = results.rows, macro_prefix(results)
-    one, valid = pooled_rate(rows, results.exp), 'outcome != "invalid"'
+    one, valid = pooled_success_rate(rows, results.exp), 'outcome != "invalid"'
     for name, count, where in (
         ("Rollouts", one.total, None),
         ("Valid", one.valid_count, valid),
@@ -290,7 +290,7 @@ def escape_latex(text: str) -> str:
     return tables.unit_signs_to_latex("".join(special.get(c, c) for c in text))
 
 
-def find_other_letters(text: str) -> tuple[list[str], list[str], list[str]]:
+def find_non_latin_letters(text: str) -> tuple[list[str], list[str], list[str]]:
     """Return the letters of `text` that are Cyrillic (pdfLaTeX has fonts), those without pdfLaTeX fonts, and which of
     these are not European."""
     letters = sorted(letter for letter in set(text) if letter.isprintable() and ord(letter) > LATIN)

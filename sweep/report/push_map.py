@@ -13,7 +13,7 @@ from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import MaxNLocator
 
 from sweep.analysis import push_map
-from sweep.core.plot_style import COLUMN_WIDTH_IN, PAGE_WIDTH_IN, legend_below, new_figure, wrap_text
+from sweep.core.plot_style import COLUMN_WIDTH_IN, PAGE_WIDTH_IN, add_legend_below, new_figure, wrap_text
 from sweep.replay.outline import outlines_from_above
 from sweep.report.figure import StudyFigure
 from sweep.report.labels import axis_title, axis_words, label_with_value
@@ -96,7 +96,7 @@ def _draw_push_map(results: Results, rows: push_map.PushRows, table: pd.DataFram
         if words:
             ax.set_title(wrap_text(", ".join(words), 72 * width / columns - 10))
     shown = {line.get_label(): line for ax_lines in drawn for line in ax_lines}
-    legend_below(figure, list(shown.values()))
+    add_legend_below(figure, list(shown.values()))
     return figure
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pandas as pd
 
-from sweep.analysis.sample import sample_indices
+from sweep.analysis.sample import random_subset_indices
 from sweep.report import replay_selection, replays
 from sweep.runs.results import Results
 
@@ -17,7 +17,7 @@ def choose_recorded_rows(results: Results) -> pd.DataFrame:
     from the stored rows in the last bits; the page says how many of a replay's metrics are equal.
     """
     number = min(len(results.rows), replay_selection.MAX_SEARCHED_ROWS)
-    every = results.rows.iloc[sample_indices(len(results.rows), number)]
+    every = results.rows.iloc[random_subset_indices(len(results.rows), number)]
     rows = replay_selection.choose_replays(replace(results, rows=every), results.exp.study.replays)
     groups = rows.groupby("group")["group"]
     return rows.assign(width=groups.transform("size"), slot=groups.cumcount())

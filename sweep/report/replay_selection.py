@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from sweep.analysis.sample import sample_indices
+from sweep.analysis.sample import random_subset_indices
 from sweep.core.outcomes import SUCCESS
 from sweep.report.figures import metrics_with_threshold_first
 from sweep.report.labels import column_unit, heading
@@ -39,7 +39,7 @@ def choose_replays(results: Results, number: int) -> pd.DataFrame:
     kinds = sorted(find_representatives(results), key=lambda one: (one.kind != SUCCESS, -one.number))
     alike = [(rows.index.get_loc(one.row.name), f"typical of {one.kind.replace('_', ' ')}") for one in kinds]
     pairs = choose_boundary_rows(results)
-    first = [*nominal_rows(results), *alike[: 1 + MAIN_CAUSES], *islice(pairs, 2), *alike[1 + MAIN_CAUSES :]]
+    first = [*choose_nominal_row(results), *alike[: 1 + MAIN_CAUSES], *islice(pairs, 2), *alike[1 + MAIN_CAUSES :]]
     turns = zip_longest(pairs, choose_extreme_rows(results), choose_spread_rows(results))
     every = chain(first, *([one for one in turn if one] for turn in turns))
     long = (
@@ -54,7 +54,7 @@ def choose_replays(results: Results, number: int) -> pd.DataFrame:
     return rows.iloc[list(found)].assign(why=list(found.values()))
 
 
-def nominal_rows(results: Results) -> Iterator[tuple[int, str]]:
+def choose_nominal_row(results: Results) -> Iterator[tuple[int, str]]:
     """Yield the index of the row nearest to nominal parameters, with a reason; nothing without nominal values."""
     columns = [c for c in (*results.categorical_columns, *results.numeric_columns) if not c.startswith("axis.")]
     if not columns or results.rows.empty:
@@ -75,7 +75,7 @@ def choose_boundary_rows(results: Results) -> Iterator[tuple[int, str]]:
     """Yield indices of rows next to the boundary of success, each with its nearest row of opposite outcome."""
     near = np.flatnonzero(audit.boundary_mask(results))
     place, win = scaled_parameters(results)[near], (results.rows["outcome"] == "success").to_numpy()[near]
-    for k in order_by_distance(place):
+    for k in farthest_point_order(place):
         others = np.flatnonzero(win != win[k])
         pair = (k, others[np.argmin(np.linalg.norm(place[others] - place[k], axis=1))])
         for one in pair:
@@ -95,8 +95,8 @@ def choose_extreme_rows(results: Results) -> Iterator[tuple[int, str]]:
 
 def choose_spread_rows(results: Results) -> Iterator[tuple[int, str]]:
     """Yield indices of rows, each as far in parameter space as possible from those before it."""
-    every = sample_indices(len(results.rows), MAX_SEARCHED_ROWS)
-    yield from ((int(every[k]), "far from all others") for k in order_by_distance(scaled_parameters(results)[every]))
+    every = random_subset_indices(len(results.rows), MAX_SEARCHED_ROWS)
+    yield from ((int(every[k]), "far from all others") for k in farthest_point_order(scaled_parameters(results)[every]))
 
 
 def scaled_parameters(results: Results) -> np.ndarray:
@@ -108,7 +108,7 @@ def scaled_parameters(results: Results) -> np.ndarray:
     return values / np.where(size > 0, size, 1.0)
 
 
-def order_by_distance(places: np.ndarray) -> Iterator[int]:
+def farthest_point_order(places: np.ndarray) -> Iterator[int]:
     """Order points (N, K) so that each is the farthest from all earlier ones; the first is closest to the mean."""
     if not len(places):
         return

@@ -12,7 +12,7 @@ import pandas as pd
 
 from sweep.backends import devices
 from sweep.config.experiment import Experiment
-from sweep.contract.engine import MissingTrace, Trace, same_bits
+from sweep.contract.engine import MissingTrace, Trace, is_bitwise_equal
 from sweep.contract.system import judge_rollout
 from sweep.contract.trace_frames import base_pose, count_finite_frames
 from sweep.core.errors import InputError
@@ -47,7 +47,7 @@ def make_replays(
     done = 0
     if wanted.empty:
         return done
-    for row, trace, labels in simulate_again(results.exp, wanted, store.read_points(results.folder)):
+    for row, trace, labels in resimulate_rows(results.exp, wanted, store.read_points(results.folder)):
         if (labels["outcome"], labels["cause"]) != (row["outcome"], row["cause"]):
             print(
                 f"sweep: no replay of {row['point_id']}: on this machine the rollout ends with another outcome",
@@ -60,7 +60,7 @@ def make_replays(
     return done
 
 
-def simulate_again(
+def resimulate_rows(
     exp: Experiment, rows: pd.DataFrame, planned: pd.DataFrame, rate: float = MAX_RATE
 ) -> Iterator[tuple[pd.Series, Trace, dict[str, Any]]]:
     """Simulate stored rows again and record their replays.
@@ -78,7 +78,7 @@ def simulate_again(
     """
     devices.configure_jax()  # the CPU counts as several devices from then on
     exp = batches.allocate_delay_buffers(exp, planned)
-    for _, part in pack_batches(rows, devices.default_batch_width()).groupby(["group", "batch", "width"]):
+    for _, part in pack_rows_into_batches(rows, devices.default_batch_width()).groupby(["group", "batch", "width"]):
         order = np.zeros(int(part["width"].iloc[0]), dtype=int)
         order[part["slot"]] = np.arange(len(part))
         full = part.iloc[order]
@@ -95,7 +95,7 @@ def simulate_again(
             yield row, trace, {**labels, "run_id": run_id}
 
 
-def pack_batches(rows: pd.DataFrame, widest: int) -> pd.DataFrame:
+def pack_rows_into_batches(rows: pd.DataFrame, widest: int) -> pd.DataFrame:
     """Distribute rows over as few batches as possible, none wider than `widest`.
 
     A rollout has the same bits in the same slot of a batch of the same width, whatever its neighbours are. Where the
@@ -124,7 +124,7 @@ def replay_content(row: pd.Series, trace: Trace) -> dict[str, Any]:
         row: row of the study.
         trace: its recorded rollout.
     """
-    same = [name for name, value in trace.metrics.items() if name in row and same_bits(row[name], value)]
+    same = [name for name, value in trace.metrics.items() if name in row and is_bitwise_equal(row[name], value)]
     return {
         **encode_motion(trace),
         "bodies": describe_bodies(

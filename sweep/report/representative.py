@@ -11,7 +11,7 @@ import pandas as pd
 from sweep.core.files import path_inside_folder
 from sweep.core.outcomes import SUCCESS
 from sweep.report import replays
-from sweep.report.labels import kind_meaning, outcome_kind
+from sweep.report.labels import explain_outcome_kind, outcome_kind
 from sweep.runs.results import Results
 from sweep.study.columns import metric_columns
 
@@ -47,7 +47,7 @@ def find_representatives(results: Results) -> Iterator[Representative]:
             sample = rows.iloc[np.sort(own.sample(min(len(own), MAX_CANDIDATE_ROLLOUTS), random_state=0))]
             row = sample.iloc[medoid(standardize(sample[columns].to_numpy(dtype=float)))]
             picture = path_inside_folder(results.folder, f"{PICTURES_FOLDER}/{row['run_id']}-{row['point_id']}.png")
-            yield Representative(kind, len(own), row, kind_meaning(kind, results.exp), picture)
+            yield Representative(kind, len(own), row, explain_outcome_kind(kind, results.exp), picture)
 
 
 def standardize(values: np.ndarray) -> np.ndarray:
@@ -75,7 +75,7 @@ def draw_pictures(results: Results) -> list[Path]:
     picture, but a line on the standard error. Raises `InputError` without OpenGL.
     """
     from sweep.contract.trace_frames import frames_at_times
-    from sweep.replay.rendering import write_strip
+    from sweep.replay.rendering import write_filmstrip
 
     wanted = {one.row.name: one for one in find_representatives(results) if not one.picture.exists()}
     rows, drawn = pd.DataFrame([one.row for one in wanted.values()]).infer_objects(), []
@@ -83,7 +83,7 @@ def draw_pictures(results: Results) -> list[Path]:
         return drawn
     groups = rows.groupby("group")["group"]
     rows = rows.assign(width=groups.transform("size"), slot=groups.cumcount())
-    for row, trace, labels in replays.simulate_again(results.exp, rows, results.rows, np.inf):
+    for row, trace, labels in replays.resimulate_rows(results.exp, rows, results.rows, np.inf):
         one = wanted[row.name]
         if (labels["outcome"], labels["cause"]) != (row["outcome"], row["cause"]):
             print(
@@ -94,6 +94,6 @@ def draw_pictures(results: Results) -> list[Path]:
         end = np.fmin(row["t_cause_s"] + TIME_AFTER_CAUSE_S, trace.time[-1])
         one.picture.parent.mkdir(exist_ok=True)
         shown = frames_at_times(trace, np.linspace(trace.time[0], end, FRAMES_PER_PICTURE))
-        write_strip(one.picture, trace, shown, one.kind.replace("_", " "))
+        write_filmstrip(one.picture, trace, shown, one.kind.replace("_", " "))
         drawn.append(one.picture)
     return drawn

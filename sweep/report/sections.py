@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from sweep.analysis import sensitivity
 from sweep.analysis.intervals import confidence_sequence, wilson
 from sweep.analysis.sample import is_random_sample
-from sweep.analysis.sampling_units import interval_units
+from sweep.analysis.sampling_units import confidence_interval_unit_ids
 from sweep.analysis.stats import bin_values, success_rates
 from sweep.core.distinct_values import count_distinct, has_several_values
 from sweep.core.plot_style import COLUMN_WIDTH_IN, PAGE_WIDTH_IN, new_figure, wrap_text
@@ -59,11 +59,11 @@ def list_sections(results: Results) -> Iterator[MapSection]:
     cut would be mostly empty, as among drawn points, all rows are counted in bins. Where two conditions or more were
     listed, maps are over those.
     """
-    conditions = [axis.column for axis in sensitivity.listed_axes(results.rows, results.exp)]
+    conditions = [axis.column for axis in sensitivity.listed_value_axes(results.rows, results.exp)]
     few = len(results.rows) < MIN_BINNED_DRAWS and len(conditions) < 2 and not results.exp.study.points
     if results.is_one_at_a_time or few or results.exp.study.is_adaptive:  # whose rows are no sample that has a rate
         return
-    axes = results.listed_numeric_columns
+    axes = results.numeric_grid_columns
     if len(axes) < 2:  # numbers before names, which are read more easily as panels
         axes = (
             sorted(conditions, key=results.categorical_columns.__contains__)
@@ -76,10 +76,10 @@ def list_sections(results: Results) -> Iterator[MapSection]:
         others = [c for c in axes if c not in (x, y) and c in results.numeric_columns]
         if results.exp.study.resolution and not others:
             note = f"each cell as its corners; {len(results.rows)} were run (dots), most of them next to the boundary"
-            yield MapSection(x, y, None, refine.rows_with_filled_cells(results.exp, results.rows), note, refined=True)
+            yield MapSection(x, y, None, refine.add_inferred_rows(results.exp, results.rows), note, refined=True)
             continue
         section = cut_section(results, x, y, others)
-        yield section if is_filled(section) else bin_rows(results, x, y, others)
+        yield section if is_section_filled(section) else bin_rows(results, x, y, others)
 
 
 def cut_section(results: Results, x: str, y: str, remaining: list[str]) -> MapSection:
@@ -98,7 +98,7 @@ def cut_section(results: Results, x: str, y: str, remaining: list[str]) -> MapSe
     return MapSection(x, y, None, rows, f"at {note}" if note else "")
 
 
-def is_filled(section: MapSection) -> bool:
+def is_section_filled(section: MapSection) -> bool:
     """Return whether a section is a grid of few enough values with rows in at least half of its cells."""
     by = [section.x, section.y, *([section.panel_parameter] if section.panel_parameter else [])]
     counts = [section.rows[c].nunique() for c in by]
@@ -134,7 +134,7 @@ def draw_section(results: Results, chosen: MapSection) -> Figure:
     panels = list(
         split_panels(rows, x, y, (chosen.panel_parameter,) if chosen.panel_parameter else (), exp=results.exp)
     )
-    tables = [cell_rates(results, panel, ["x", "y"], [x, y]) for _, panel in panels]
+    tables = [cell_success_rates(results, panel, ["x", "y"], [x, y]) for _, panel in panels]
     single = max(table["total"].max() for table in tables) == 1
     sample = any(table["low"].notna().any() for table in tables)
     shown = [""] if single else ["low", "share", "high"] if sample else ["share"]
@@ -159,7 +159,7 @@ def draw_section(results: Results, chosen: MapSection) -> Figure:
             room = 72 * (PAGE_WIDTH_IN - 1) / 3 - 10  # titles side by side stay apart
             ax.set_title(wrap_text(", ".join([*title, word] if word else title), room))
             label_axis_values(ax, cells)
-            analytic_curves.draw_limits(ax, results.exp, panel, x, y, cells)
+            analytic_curves.draw_limit_curves(ax, results.exp, panel, x, y, cells)
     for ax in spots:
         ax.set_visible(False)
     for k, ax in enumerate(axes):
@@ -179,7 +179,7 @@ def draw_section(results: Results, chosen: MapSection) -> Figure:
     return figure
 
 
-def cell_rates(results: Results, rows: pd.DataFrame, by: list[str], axes: list[str]) -> pd.DataFrame:
+def cell_success_rates(results: Results, rows: pd.DataFrame, by: list[str], axes: list[str]) -> pd.DataFrame:
     """Compute the success rate in each cell, with the confidence interval that suits the study's design.
 
     Args:
@@ -192,7 +192,7 @@ def cell_rates(results: Results, rows: pd.DataFrame, by: list[str], axes: list[s
         The table of `stats.success_rates`; `low` and `high` are NaN where the rows of a cell are no sample.
     """
     study = results.exp.study
-    unit = interval_units(rows, results.exp) if rows["replicate"].notna().all() else None
+    unit = confidence_interval_unit_ids(rows, results.exp) if rows["replicate"].notna().all() else None
     table = success_rates(rows, by, confidence_sequence if study.budget else wilson, unit)
     return table if is_random_sample(rows, results.exp, axes) else table.assign(low=np.nan, high=np.nan)
 
@@ -203,7 +203,7 @@ def section_data(results: Results, chosen: MapSection) -> pd.DataFrame:
     named = [c for c in rows if "." in str(c) and rows[c].dtype.kind not in "fi" and has_several_values(rows[c])]
     named = [c for c in named if c not in (chosen.x, chosen.y)]
     by = [*named, *([chosen.panel_parameter] if chosen.panel_parameter else []), chosen.x, chosen.y]
-    table = cell_rates(results, rows, by, by)
+    table = cell_success_rates(results, rows, by, by)
     if (table["total"] > 1).any():
         return table
     return rows[[*by, "outcome", "cause", "point_id"]].sort_values(by, ignore_index=True)

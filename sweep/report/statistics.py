@@ -7,9 +7,9 @@ from functools import partial
 import pandas as pd
 
 from sweep.analysis import failing, push_map, rare, screening, sensitivity
-from sweep.analysis.axis_effects import compare_along_axes
-from sweep.analysis.sample import drop_repeated_rollouts, pooled_rate
-from sweep.analysis.sampling_units import condition_rates, describe_sample_size, draw_ids, interval_method
+from sweep.analysis.axis_effects import check_axis_effects
+from sweep.analysis.sample import drop_repeated_rollouts, pooled_success_rate
+from sweep.analysis.sampling_units import describe_sample_size, draw_ids, interval_method, success_rates_by_condition
 from sweep.analysis.sensitivity import MIN_RARER_OUTCOMES
 from sweep.analysis.stats import format_percent
 from sweep.config.experiment import Experiment
@@ -20,7 +20,7 @@ from sweep.report.labels import heading
 from sweep.report.tables import markdown_table
 from sweep.runs import refine
 from sweep.runs.results import Results
-from sweep.study.design_kinds.base import Sensitivity
+from sweep.study.design_kinds.base import SensitivityMethod
 
 PUSH_TITLE = "Push thresholds: the size at which half of the rollouts succeed, by a fit that falls with the size"
 Analysis = Callable[[pd.DataFrame, Experiment, str | None], pd.DataFrame]
@@ -31,10 +31,10 @@ def statistics_sections(
 ) -> Iterator[tuple[str, pd.DataFrame | str]]:
     """Yield title and content of all statistics that the design of the study allows."""
     rows, copies = drop_repeated_rollouts(rows, exp)
-    listed, drawn = sensitivity.listed_axes(rows, exp), sensitivity.drawn_axes(rows, exp)
+    listed, drawn = sensitivity.listed_value_axes(rows, exp), sensitivity.randomly_drawn_axes(rows, exp)
     numbers = sensitivity.numeric_axes(rows, listed)
     several = len(rows) > len(rows.drop_duplicates([a.column for a in listed])) if listed else bool(drawn)
-    every = pooled_rate(rows, exp)
+    every = pooled_success_rate(rows, exp)
     if exp.study.is_adaptive:  # its rows are no sample of what is asked about
         yield "Probability of failure", study_headline(rows, exp)
         yield "How P(failure) was estimated", str(rare.estimate_failure_probability(rows, exp))
@@ -43,7 +43,7 @@ def statistics_sections(
         yield from _sensitivity_tables(rows, exp)
         return
     yield "Rate of success", f"{study_headline(rows, exp)}{'; ' if copies else ''}{copies}"
-    one_at_a_time = bool(numbers) and exp.study.design.varies_axes_alone
+    one_at_a_time = bool(numbers) and exp.study.design.is_one_at_a_time
     if one_at_a_time:
         sure = f" ({interval_method(exp.study)}, 95 %)" if exp.study.has_repeats else ""
         yield f"Rate along each axis, the others nominal{sure}", sensitivity.one_at_a_time_rates(rows, exp)
@@ -54,26 +54,26 @@ def statistics_sections(
             yield f"Share of the draws that succeed ({method}, 95 %)", volume
     elif several and listed:
         title = f"Rate at each condition ({interval_method(exp.study)}, 95 %)"
-        yield title, condition_rates(rows, exp, [a.column for a in listed])
+        yield title, success_rates_by_condition(rows, exp, [a.column for a in listed])
     if exp.study.is_refined:
         yield "Refinement", "\n".join(map(str, refine.summarize_panels(exp, rows)))
     if exp.study.resolution and len(effects := refine.total_effects(exp, rows)):
         yield "Importance of parameters in the map's cells (total Sobol index)", effects
-    whole = refine.rows_with_filled_cells(exp, rows) if exp.study.resolution else rows
+    whole = refine.add_inferred_rows(exp, rows) if exp.study.resolution else rows
     if numbers and not several and not one_at_a_time:
-        found = sensitivity.grid_volume(whole, exp)
+        found = sensitivity.grid_success_volume(whole, exp)
         share, low, high = map(format_percent, (found.share, found.low, found.high))
         text = f"{share}; {low} to {high}, counting cells on the boundary as failures or successes"
         if found.invalid:
-            text += f"; the range covers both outcomes of {every.invalid_text}"
+            text += f"; the range covers both outcomes of {every.invalid_rollouts_text}"
         yield "Share of the grid's volume that succeeds", text
-    ineffective = {name: pairs for name, pairs in compare_along_axes(rows, exp).items() if pairs.are_equal}
+    ineffective = {name: pairs for name, pairs in check_axis_effects(rows, exp).items() if pairs.are_equal}
     if ineffective:
         told = [f"axis {name} changed no metric in {one.rollouts:,} rollouts" for name, one in ineffective.items()]
         yield "Axes without an effect", "\n".join(told)
     effective = [axis.column for axis in numbers if axis.name not in ineffective]
     if effective:
-        margins = sensitivity.margins_from_nominal(whole, exp)
+        margins = sensitivity.success_ranges_around_nominal(whole, exp)
         yield "Margins: distance from the nominal value up to which rollouts succeed", _select_axes(margins, effective)
     if pushes := push_map.select_push_rows(rows, exp):
         yield PUSH_TITLE, push_map.threshold_table(pushes[0])
@@ -82,7 +82,7 @@ def statistics_sections(
             f"Tolerance: the error at which the probability of success falls to {format_percent(level)} (logistic fit; "
             "95 % interval from the rates at the values tried)"
         )
-        yield title, _select_axes(sensitivity.tolerated_errors(rows, exp, level), effective)
+        yield title, _select_axes(sensitivity.tolerated_parameter_errors(rows, exp, level), effective)
     if len(drawn) and {"success", "failure"} <= set(rows["outcome"].unique()):
         yield (
             "Regional sensitivity: differences between failing and succeeding draws",
@@ -137,11 +137,11 @@ def sensitivity_methods(exp: Experiment, draws: int) -> dict[str, Analysis]:
         draws: number of draws among its rows; replicates and grid points of a draw count once.
     """
     match exp.study.design.sensitivity:
-        case Sensitivity.SOBOL_INDICES:
+        case SensitivityMethod.SOBOL_INDICES:
             return {"Sobol indices": sensitivity.sobol_indices}
-        case Sensitivity.ELEMENTARY_EFFECTS:
+        case SensitivityMethod.ELEMENTARY_EFFECTS:
             return {"Elementary effects (Morris)": sensitivity.elementary_effects}
-        case Sensitivity.GIVEN_DATA if draws >= screening.MIN_DRAWS:
+        case SensitivityMethod.GIVEN_DATA if draws >= screening.MIN_DRAWS:
             return {
                 "PAWN indices": screening.pawn_indices,
                 "First Sobol indices (RBD-FAST)": screening.rbd_fast_indices,

@@ -12,11 +12,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pyarrow.csv import WriteOptions, write_csv
 
-from sweep.analysis.stats import cause_lines, format_percent
+from sweep.analysis.stats import format_cause_counts, format_percent
 from sweep.config.experiment import Experiment
 from sweep.contract.system import split_side_prefix
 from sweep.core.expressions import find_column
-from sweep.report.labels import column_unit, name_and_unit, path_label, unique_headings, unique_labels
+from sweep.report.labels import column_unit, path_label, split_metric_column, unique_headings, unique_labels
 from sweep.runs.results import Results
 from sweep.study.columns import LABEL_COLUMNS, metric_columns
 
@@ -42,14 +42,16 @@ def render_table(rows: pd.DataFrame, form: str, names: list[str] | None = None, 
         case "csv":
             return csv_bytes(rows)
         case "parquet":
-            return b"".join(parquet_pieces([rows], rows.iloc[:0]))
+            return b"".join(iter_parquet_bytes([rows], rows.iloc[:0]))
         case "latex":
             return latex_table(rows, exp).encode()
         case _:
             page = markdown_table(rows, exp) + "\n"
-            lines = axis_lines(rows, exp) if exp else []
+            lines = explain_axis_labels(rows, exp) if exp else []
             lines += (
-                cause_lines(rows["cause"], exp.system.cause_meanings(exp.thresholds)) if exp and "cause" in rows else []
+                format_cause_counts(rows["cause"], exp.system.cause_meanings(exp.thresholds))
+                if exp and "cause" in rows
+                else []
             )
             legend = "".join(f"- {line}\n" for line in lines)
             return f"{page}\n{legend}".encode() if legend else page.encode()
@@ -69,7 +71,7 @@ def choose_columns(rows: pd.DataFrame, form: str, names: list[str] | None) -> li
     if names:
         return list(dict.fromkeys(find_column(rows, name) for name in names))
     # a page has no room for more than these; csv and parquet hold everything
-    return readable_columns(rows) if form in ("markdown", "latex") else list(rows.columns)
+    return readable_table_columns(rows) if form in ("markdown", "latex") else list(rows.columns)
 
 
 def csv_bytes(rows: pd.DataFrame, header: bool = True) -> bytes:
@@ -88,7 +90,7 @@ def csv_bytes(rows: pd.DataFrame, header: bool = True) -> bytes:
     return content.getvalue()
 
 
-def parquet_pieces(parts: Iterable[pd.DataFrame], empty: pd.DataFrame) -> Iterator[bytes]:
+def iter_parquet_bytes(parts: Iterable[pd.DataFrame], empty: pd.DataFrame) -> Iterator[bytes]:
     """Yield rows as the pieces of a Parquet file, in groups of about `GROUP_ROWS` rows to limit memory.
 
     Args:
@@ -130,11 +132,12 @@ def _join_small_parts(parts: Iterable[pa.Table]) -> Iterator[pa.Table]:
         yield pa.concat_tables(collected)
 
 
-def axis_lines(rows: pd.DataFrame, exp: Experiment) -> list[str]:
+def explain_axis_labels(rows: pd.DataFrame, exp: Experiment) -> list[str]:
     """Explain each axis whose label does not show its path: `grip (world): world.contact.friction`."""
     words = unique_labels(rows.columns, exp)
-    return [f"{words[a.column]}: {a.target}" for a in exp.study.axes
-            if a.target and a.column in rows and words[a.column] != path_label(a.target)]  # fmt: skip
+    return [f"{words[a.column]}: {a.parameter_column}" for a in exp.study.axes
+            if a.parameter_column and a.column in rows
+            and words[a.column] != path_label(a.parameter_column)]  # fmt: skip
 
 
 def markdown_table(rows: pd.DataFrame, exp: Experiment | None = None) -> str:
@@ -147,7 +150,7 @@ def markdown_table(rows: pd.DataFrame, exp: Experiment | None = None) -> str:
     return format_rows(rows, exp).to_markdown(index=False, disable_numparse=True)
 
 
-def readable_columns(rows: pd.DataFrame) -> list[str]:
+def readable_table_columns(rows: pd.DataFrame) -> list[str]:
     """Return the columns that a readable table shows: parameters, the replicate if there are several, and outcome
     labels."""
     several = ["replicate"] if rows["replicate"].nunique() > 1 else []
@@ -195,10 +198,10 @@ def rollout_table(exp: Experiment, row: pd.Series) -> str:
     lines = [(exp.scenario, str(row["outcome"]), "")]
     if row["outcome"] != "success":
         lines.append(("cause", str(row["cause"]), f"in stage {row['stage']}"))
-    for name in metric_columns(row.to_frame().T):
+    for name in metric_columns(row.points_to_frame().T):
         if name in exp.system.bookkeeping_metrics:
             continue
-        words, unit = name_and_unit(name)
+        words, unit = split_metric_column(name)
         lines.append((words, format_value(row[name]), unit))
     table = pd.DataFrame(lines, columns=["figure", "value", "unit"])
     reason = exp.system.explain_cause({str(name): value for name, value in row.items()}, exp.thresholds)

@@ -32,7 +32,7 @@ def iter_jobs(exp: Experiment, folder: Path) -> Iterator[Job]:
     Raises:
         InputError: Rounds in the folder were drawn from other outcomes than its rows have now.
     """
-    study, design = exp.study, exp.study.search_design
+    study, design = exp.study, exp.study.adaptive_design
     search = design.start_search(study.draw_context)
     draws: RoundDraws = next(search)
     while True:
@@ -40,11 +40,11 @@ def iter_jobs(exp: Experiment, folder: Path) -> Iterator[Job]:
         planned = store.read_points(folder)
         _refuse_other_rounds(folder, planned, table)
         if not exp.settings.width:
-            first = planned if len(planned) else prepare_job(exp, folder, table.head(design.smallest_round)).table
+            first = planned if len(planned) else prepare_job(exp, folder, table.head(design.min_round_size)).table
             exp = replace(exp, settings=replace(exp.settings, width=int(first["width"].iloc[-1])))
         yield prepare_job(exp, folder, table)
         try:
-            draws = search.send(design.summarize(store.read_rows(folder), draws))
+            draws = search.send(design.summarize_finished_round(store.read_rows(folder), draws))
         except StopIteration:
             return
 

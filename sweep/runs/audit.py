@@ -36,7 +36,7 @@ def run_audit(
 
     Args:
         results: Finished rows of a study.
-        count: Largest number of rollouts of each sample, see `sample_masks`.
+        count: Largest number of rollouts of each sample, see `stratum_masks`.
         variants: Names of the variants to simulate. If empty, all variants of the system, without those that cannot
             simulate these rollouts.
         progress: Receives the rows of every finished batch.
@@ -49,8 +49,8 @@ def run_audit(
     for variant in variants:
         if variant not in available:
             raise InputError(f"--ways {variant} is unknown (allowed: {', '.join(available)})")
-    exp = with_row_settings(results)
-    shuffled = [np.random.default_rng(0).permutation(np.flatnonzero(mask)) for mask in sample_masks(results).values()]
+    exp = apply_stored_engine_settings(results)
+    shuffled = [np.random.default_rng(0).permutation(np.flatnonzero(mask)) for mask in stratum_masks(results).values()]
     chosen = np.concatenate([rows[:count] for rows in shuffled])
     if not len(chosen):
         raise InputError(
@@ -120,7 +120,7 @@ def make_variant_study(
     return variant_exp, table
 
 
-def with_row_settings(results: Results) -> Experiment:
+def apply_stored_engine_settings(results: Results) -> Experiment:
     """Return the experiment of a study with the engine settings of its stored rows.
 
     Raises:
@@ -134,7 +134,7 @@ def with_row_settings(results: Results) -> Experiment:
     return replace(results.exp, settings=replace_settings(results.exp.settings, values))
 
 
-def sample_masks(results: Results) -> dict[str, np.ndarray]:
+def stratum_masks(results: Results) -> dict[str, np.ndarray]:
     """Return the masks (rows,) that an audit samples from: rows next to the boundary of success, other successes."""
     near, succeeds = boundary_mask(results), (results.rows["outcome"] == "success").to_numpy()
     return {"next to the boundary": near, "successes elsewhere": succeeds & ~near}
@@ -202,7 +202,7 @@ def outcome_flip_table(results: Results) -> pd.DataFrame:
         in either simulation, `flips` among the others, their `share` and its exact 95 % interval `low` to `high`.
     """
     lines, audited = [], dict(iter_audited_variants(results))
-    masks = sample_masks(results) if audited else {}  # which takes a minute of a million rows
+    masks = stratum_masks(results) if audited else {}  # which takes a minute of a million rows
     members = {kind: set(results.rows.loc[member, "point_id"]) for kind, member in masks.items()}
     for variant, pairs in audited.items():
         for kind, points in members.items():

@@ -19,9 +19,9 @@ from sweep.config.experiment import Experiment
 from sweep.contract.engine import Metrics
 from sweep.core.errors import InputError
 from sweep.core.spacing import evenly_spaced_indices
-from sweep.runs.axis_effects import find_unread_columns
-from sweep.runs.batches import allocate_delay_buffers, forget_engine, make_batch, make_engine, make_nominal_batch
-from sweep.study.study import needs_other_engine, parameter_columns
+from sweep.runs.axis_effects import find_inactive_parameters
+from sweep.runs.batches import allocate_delay_buffers, clear_engine_cache, make_batch, make_engine, make_nominal_batch
+from sweep.study.study import needs_recompilation, parameter_columns
 
 MAX_LEVELS_PER_AXIS = 9  # tried on an axis
 ENGINE_COLUMN = "engine.name"
@@ -101,7 +101,7 @@ def run_axis_check(
         for stretch in _find_inactive(exp, rows, levels, report, on_progress):
             report.inactive.setdefault(stretch, []).append(engine)
     if any(one.is_entire_axis for one in report.inactive):
-        report.unread = find_unread_columns(exp, table.assign(width=1))
+        report.unread = find_inactive_parameters(exp, table.assign(width=1))
     return report
 
 
@@ -109,7 +109,7 @@ def _find_inactive(
     exp: Experiment, table: pd.DataFrame, levels: Levels, report: AxisCheckReport, on_progress: Callable[[int], None]
 ) -> Iterator[InactiveInterval]:
     """Yield the stretches of axes without effect on one engine, whose points are `table`."""
-    static = [c for c in levels if needs_other_engine(c, exp.system, exp.settings)]
+    static = [c for c in levels if needs_recompilation(c, exp.system, exp.settings)]
     swept = {c: values for c, values in levels.items() if c not in static}
     middle = table.iloc[len(table) // 2]
     nominal = {c: exp.system.nominal(c, exp.settings) for c in parameter_columns(table)}
@@ -138,7 +138,7 @@ def _find_inactive(
             for k, (a, b) in enumerate(pairwise(by_level)):
                 acts[c][k] |= _changed_rows(a, b).any()
         if base is nominal:
-            forget_engine()
+            clear_engine_cache()
             again = simulate(base, 0)
             report.irreproducible += [
                 name for name in first if _changed_rows({name: first[name]}, {name: again[name]}).any()

@@ -12,7 +12,13 @@ from sweep.contract.engine import Engine
 from sweep.contract.engine_settings import EngineSettings
 from sweep.contract.system import Limits, System
 from sweep.core.errors import Fault, InputError
-from sweep.study.study import extreme_points, identity_columns, needs_other_engine, parameter_columns, replace_settings
+from sweep.study.study import (
+    extreme_points,
+    needs_recompilation,
+    parameter_columns,
+    replace_settings,
+    rollout_id_columns,
+)
 
 
 @dataclass(frozen=True)
@@ -42,7 +48,7 @@ def _engine(system: System, settings: EngineSettings, world: Any, belief: Any, l
     return system.make_engine(settings, world, belief, limits)
 
 
-def forget_engine() -> None:
+def clear_engine_cache() -> None:
     """Release the engine that `make_engine` keeps, with its memory."""
     _engine.cache_clear()
 
@@ -62,9 +68,9 @@ def allocate_delay_buffers(exp: Experiment, table: pd.DataFrame) -> Experiment:
     return replace(exp, system=exp.system.allocate_delay_buffers(table))
 
 
-def static_values(exp: Experiment, table: pd.DataFrame) -> dict[str, Any]:
+def static_parameter_values(exp: Experiment, table: pd.DataFrame) -> dict[str, Any]:
     """Return the parameter values, by column, that rows share because they are compiled into one program."""
-    static = [c for c in parameter_columns(table) if needs_other_engine(c, exp.system, exp.settings)]
+    static = [c for c in parameter_columns(table) if needs_recompilation(c, exp.system, exp.settings)]
     return {c: getattr(v := table[c].iloc[0], "item", lambda v=v: v)() for c in static}
 
 
@@ -79,7 +85,7 @@ def make_nominal_batch(exp: Experiment, rows: pd.DataFrame, width: int) -> Batch
     Returns:
         A batch without a batch axis and without random streams.
     """
-    statics = static_values(exp, rows)
+    statics = static_parameter_values(exp, rows)
     settings = replace_settings(exp.settings, statics)
     return Batch(
         replace(settings, width=width), *exp.system.make_world_and_belief(statics), np.zeros(0, dtype=np.int64)
@@ -98,7 +104,7 @@ def make_batch(exp: Experiment, rows: pd.DataFrame) -> Batch:
     """
     width = int(rows["width"].iloc[0])
     slots = np.minimum(np.arange(width), len(rows) - 1)
-    statics = static_values(exp, rows)
+    statics = static_parameter_values(exp, rows)
     swept = {c: rows[c].to_numpy(dtype=float)[slots] for c in parameter_columns(rows) if c not in statics}
     world, belief = exp.system.make_world_and_belief({**statics, **swept})
     streams = rows["stream"].to_numpy()[slots]
@@ -121,8 +127,8 @@ def assign_batches(exp: Experiment, planned: pd.DataFrame, wanted: pd.DataFrame)
     """
     table = wanted
     if not planned.empty:
-        table = pd.concat([planned, wanted[~mask_of_points(wanted, planned)]], ignore_index=True)
-    static = list(static_values(exp, table))
+        table = pd.concat([planned, wanted[~point_membership_mask(wanted, planned)]], ignore_index=True)
+    static = list(static_parameter_values(exp, table))
     table = table.assign(group=table.groupby(static, sort=False).ngroup() if static else 0)
     first = int(planned["batch"].max()) + 1 if len(planned) else 0
     for column in ("batch", "slot", "width"):
@@ -174,9 +180,9 @@ def _set_cells(table: pd.DataFrame, column: str, places: np.ndarray, values: np.
     table[column] = pd.Series(cells, table.index, copy=False)
 
 
-def mask_of_points(rows: pd.DataFrame, points: pd.DataFrame) -> np.ndarray:
+def point_membership_mask(rows: pd.DataFrame, points: pd.DataFrame) -> np.ndarray:
     """Return the mask (rows,) of the rows whose point is also in `points`."""
-    key = identity_columns(rows.columns)
+    key = rollout_id_columns(rows.columns)
     return pd.MultiIndex.from_frame(rows[key]).isin(pd.MultiIndex.from_frame(points[key]))
 
 

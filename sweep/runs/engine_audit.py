@@ -7,7 +7,7 @@ continues. Whether all engines agree becomes the column `engines_agree` of the s
 import numpy as np
 import pandas as pd
 
-from sweep.analysis.sample import pooled_rate
+from sweep.analysis.sample import pooled_success_rate
 from sweep.analysis.stats import SuccessRate
 from sweep.contract.system import AuditVariant
 from sweep.core.errors import InputError, require_choice
@@ -15,10 +15,10 @@ from sweep.core.files import path_inside_folder
 from sweep.runs import runner, store
 from sweep.runs.audit import (
     AUDIT_FOLDER,
+    apply_stored_engine_settings,
     make_variant_study,
     select_point_columns,
     simulate_variant,
-    with_row_settings,
 )
 from sweep.runs.results import Results
 from sweep.study.columns import VERDICT_COLUMNS
@@ -49,7 +49,7 @@ def run_engine_audit(
     Raises:
         InputError: An engine is unknown or cannot simulate these rows, or there is no other engine.
     """
-    exp = with_row_settings(results)
+    exp = apply_stored_engine_settings(results)
     allowed, own = exp.system.engine_names, exp.settings.name
     is_every = engines == [EVERY_ENGINE]
     for name in () if is_every else engines:
@@ -112,7 +112,7 @@ def read_engine_outcomes(results: Results) -> pd.DataFrame:
     audited = results.rows[results.rows[AGREE] != ""] if AGREE in results.rows else results.rows.iloc[:0]
     if audited.empty:
         return audited
-    own = with_row_settings(results).settings.name
+    own = apply_stored_engine_settings(results).settings.name
     table = audited.assign(**{f"outcome on {own}": audited["outcome"]})
     for name in results.exp.system.engine_names:
         path = f"{AUDIT_FOLDER}/{FOLDER_PREFIX}{name}"
@@ -134,7 +134,9 @@ def agreement_rate(results: Results) -> SuccessRate:
         results: Finished rows of a study with the column `engines_agree`.
     """
     audited = results.rows[results.rows[AGREE] != ""]
-    return pooled_rate(audited.assign(outcome=np.where(audited[AGREE] == YES, "success", "failure")), results.exp)
+    return pooled_success_rate(
+        audited.assign(outcome=np.where(audited[AGREE] == YES, "success", "failure")), results.exp
+    )
 
 
 def engine_outcome_table(outcomes: pd.DataFrame) -> pd.DataFrame:

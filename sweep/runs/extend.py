@@ -56,5 +56,5 @@ def extend_study(exp: Experiment, folder: Path, count: int, progress: runner.Pro
     extended = build_experiment({**exp.values, "study": study, "out": str(folder)})
     with store.lock_folder(folder):
         runner.repair_folder(extended, folder)
-        runner.run_job(runner.prepare_job(extended, folder, runner.select_points(extended)), progress)
+        runner.run_job(runner.prepare_job(extended, folder, runner.select_points_to_simulate(extended)), progress)
     return extended

@@ -41,12 +41,12 @@ class ManifestEntry:
     labels: str = ""  # digest of the thresholds that judged the rows
     run_ids: tuple[str, ...] = ()  # ids of the runs of its rows
 
-    def largest_length(self, rollouts: int) -> int:
+    def max_file_size(self, rollouts: int) -> int:
         """Return the largest size (bytes) that the file can have if its study plans `rollouts` rollouts."""
         is_table = self.batches or self.file == POINTS_FILE
         return FIXED_BYTES + rollouts * (BYTES_PER_ROLLOUT if is_table else BYTES_PER_RECORDING)
 
-    def find_problem(self, path: Path, rollouts: int) -> str | None:
+    def find_file_mismatch(self, path: Path, rollouts: int) -> str | None:
         """Compare size and content of a file with this manifest entry; return what differs, or None.
 
         Args:
@@ -61,7 +61,7 @@ class ManifestEntry:
         """
         if (length := path.stat().st_size) != self.length:
             return f"{length} bytes instead of {self.length}"
-        if length > (most := self.largest_length(rollouts)):
+        if length > (most := self.max_file_size(rollouts)):
             return f"{length:,} bytes, more than the {most:,} that {rollouts:,} planned rollouts can take"
         return None if files.digest_file(path) == self.sha256 else "its content has changed"
 

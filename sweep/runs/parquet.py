@@ -77,7 +77,7 @@ def read_parquet(
             table = file.read(columns=numbers).select(numbers)
             for name in words:  # one by one, as they take the most memory
                 column = file.read(columns=[name])[name]
-                check_expansion(path, table.nbytes + _count_bytes(column), size)
+                check_decompressed_size(path, table.nbytes + _count_bytes(column), size)
                 table = table.append_column(name, _decode_words(path, name, column))
         _check_types(path, table)
         pa.default_memory_pool().release_unused()
@@ -122,7 +122,7 @@ def decoded_schema(schema: pa.Schema) -> pa.Schema:
     return pa.schema([*zip(schema.names, types, strict=True)])
 
 
-def check_expansion(path: Path, total: int, size: int) -> None:
+def check_decompressed_size(path: Path, total: int, size: int) -> None:
     """Raise an error if a file expands to more memory than its size warrants.
 
     Args:
@@ -164,7 +164,7 @@ def _check_sizes(path: Path, source: pa.OSFile, metadata: pq.FileMetaData, chose
                 total, pages = total + page, pages + 1
                 if pages > FEW_PAGES + size // LEAST_PAGE:
                     raise InputError(f"{path} is not allowed: its {size:,} bytes have more than {pages - 1:,} pages")
-    check_expansion(path, total, size)
+    check_decompressed_size(path, total, size)
     return words
 
 

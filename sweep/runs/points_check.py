@@ -13,7 +13,7 @@ INTEGER_COLUMNS = ("replicate", "stream", "group", "batch", "slot", "width")  # 
 MAX_BATCHES, MAX_SLOTS = 2**31, 2**32  # upper bounds of batch and slot numbers in a key
 
 
-class AssignedPoints:
+class PointsByBatch:
     """Points of a folder (`points.parquet`) with their batch and slot (position in the batch), indexed by batch."""
 
     def __init__(self, assigned: pd.DataFrame, name: str):
@@ -39,7 +39,7 @@ class AssignedPoints:
         ):
             if column in assigned and len(odd := assigned[column][~assigned[column].between(least, most - 1)]):
                 raise InputError(f"{name} is not allowed: {column} = {odd.iloc[0]}, from {least} to {most - 1}")
-        keys = place_keys(assigned)
+        keys = batch_slot_keys(assigned)
         if not _is_increasing(keys):
             order = np.argsort(keys, kind="stable")
             assigned, keys = assigned.iloc[order], keys[order]
@@ -60,7 +60,7 @@ class AssignedPoints:
             places = np.concatenate([np.arange(a, b) for a, b in zip(first, last, strict=True)] or [np.zeros(0, int)])
         return self.rows.iloc[places], self.keys[places]
 
-    def differences(self, rows: pd.DataFrame, batches: Collection[int]) -> list[str]:
+    def row_differences(self, rows: pd.DataFrame, batches: Collection[int]) -> list[str]:
         """List the differences between finished rows and the assigned points.
 
         Args:
@@ -76,7 +76,7 @@ class AssignedPoints:
         for column in KEY_COLUMNS:
             if rows[column].dtype.kind not in "iu":
                 return [f"column {column} holds no whole numbers"]
-        there = place_keys(rows)
+        there = batch_slot_keys(rows)
         expected, wanted = self.select_batches(batches)
         if _is_increasing(wanted) and np.array_equal(there, wanted):
             return _differing_inputs(rows, expected)
@@ -96,7 +96,7 @@ class AssignedPoints:
         return found + _differing_inputs(rows[both], expected.iloc[assigned.get_indexer(here[both])])
 
 
-def place_keys(rows: pd.DataFrame) -> np.ndarray:
+def batch_slot_keys(rows: pd.DataFrame) -> np.ndarray:
     """Return an integer (n,) that sorts rows by batch and slot (position in it); -1 where one is out of range."""
     batch, slot = (rows[column].to_numpy() for column in KEY_COLUMNS)
     possible = (batch >= 0) & (batch < MAX_BATCHES) & (slot >= 0) & (slot < MAX_SLOTS)

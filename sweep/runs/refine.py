@@ -60,7 +60,7 @@ def make_lattice(study: Study) -> Lattice:
     """
     listed = [a for a in study.axes if a.values is not None]
     axes = tuple(a for a in listed if not any(isinstance(v, str) for v in a.values or ()))
-    if study.points or study.where or not study.design.combines_all or any(a.along for a in listed):
+    if study.points or study.where or not study.design.is_full_grid or any(a.along for a in listed):
         raise InputError("refinement needs a full grid: no points, where, axes that vary alone, or axes with `with`")
     values = [np.unique(np.asarray(a.values, dtype=float)) for a in axes]
     if not axes or min(map(len, values)) < 2:
@@ -139,10 +139,10 @@ def iter_jobs(exp: Experiment, folder: Path, first_grid: pd.DataFrame) -> Iterat
         if len(planned := store.read_points(folder)):
             exp = replace(exp, settings=replace(exp.settings, width=int(planned["width"].iloc[-1])))
         yield prepare_job(exp, folder, wanted)
-        wanted = next_points(exp, store.read_rows(folder))
+        wanted = next_refinement_points(exp, store.read_rows(folder))
 
 
-def next_points(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
+def next_refinement_points(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
     """Return the rollouts that the refinement of a map simulates next, given the finished `rows`.
 
     Args:
@@ -181,7 +181,7 @@ def _point_rollouts(
     study, most = exp.study, int(upto[asked].max())
     if study.design.num:
         draws = -(-most // study.replicates)
-        study = replace(study, design=study.design.with_draws(draws, len(drawn_axis_names(study.axes))))
+        study = replace(study, design=study.design.resize_to_min_draws(draws, len(drawn_axis_names(study.axes))))
     else:
         study = replace(study, replicates=most)
     at = np.nonzero(asked)
@@ -214,7 +214,7 @@ def _undecided_points(study: Study, counts: LatticeCounts) -> np.ndarray:
     return (low <= study.level) & (study.level <= high) & (counts.valid > 0)
 
 
-def label_points(study: Study, counts: LatticeCounts) -> np.ndarray:
+def label_lattice_points(study: Study, counts: LatticeCounts) -> np.ndarray:
     """Return the label of every point of the finest grid: success, failure, invalid, or missing.
 
     Args:
@@ -241,7 +241,7 @@ def select_lattice_points(study: Study, grid: Lattice, counts: LatticeCounts) ->
     Returns:
         Mask of the lattice, simulated points included.
     """
-    label = label_points(study, counts)
+    label = label_lattice_points(study, counts)
     wanted = bisect_cells(label, grid.halvings)
     if not study.audit or (wanted & (label == MISSING_LABEL)).any():
         return wanted
@@ -271,7 +271,7 @@ def bisect_cells(labels: np.ndarray, halvings: int) -> np.ndarray:
     cell through a side is followed into the next cell.
 
     Args:
-        labels: Label of every lattice point, see `label_points`.
+        labels: Label of every lattice point, see `label_lattice_points`.
         halvings: How often a cell of the study's own grid may be halved.
 
     Returns:
@@ -323,7 +323,7 @@ def leaf_cells(labels: np.ndarray, halvings: int) -> tuple[np.ndarray, ...]:
     return (np.argwhere(whole), *reversed(corners))
 
 
-def fill_cells(labels: np.ndarray, halvings: int) -> np.ndarray:
+def infer_cell_labels(labels: np.ndarray, halvings: int) -> np.ndarray:
     """Fill in outcome labels inside grid cells whose corners agree and that contain no other label.
 
     Args:
@@ -347,7 +347,7 @@ def fill_cells(labels: np.ndarray, halvings: int) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class RefinedPanel:
+class RefinedMapPanel:
     """Result of refining one map panel: outcome labels on the finest grid, its cells, error of filled-in labels."""
 
     level_names: dict[str, str]  # level of each categorical axis, by axis name
@@ -366,13 +366,13 @@ class RefinedPanel:
         return self.rate.total
 
     @property
-    def missed_share_upper(self) -> float:
+    def mislabelled_share_upper_bound(self) -> float:
         """Upper end of the exact 95 % interval of the share of points with a wrong filled-in label."""
         return float(clopper_pearson(self.missed, self.audited).high)
 
     def __str__(self) -> str:
         size, shape = self.labels.size, " x ".join(map(str, self.lattice.shape))
-        text = f"{self.rollouts:,} rollouts, {self.rate.invalid_text}, for a grid of {shape} points"
+        text = f"{self.rollouts:,} rollouts, {self.rate.invalid_rollouts_text}, for a grid of {shape} points"
         text = ", ".join(self.level_names.values()) + f": {text}" if self.level_names else text
         if self.rollouts < size:
             text += f", {size / self.rollouts:.1f} times fewer"
@@ -382,11 +382,13 @@ class RefinedPanel:
             text += f"; at {self.undecided} the interval still holds the level"
         if self.audited:
             text += f"; {self.missed} of {self.audited} audited points differ from the outcome of their cell"
-            text += f", at most {format_percent(self.missed_share_upper)} of the points that were not run (95 %)"
+            text += (
+                f", at most {format_percent(self.mislabelled_share_upper_bound)} of the points that were not run (95 %)"
+            )
         return text
 
 
-def summarize_panels(exp: Experiment, rows: pd.DataFrame) -> list[RefinedPanel]:
+def summarize_panels(exp: Experiment, rows: pd.DataFrame) -> list[RefinedMapPanel]:
     """Summarize a refined study, once for each combination of values of its listed axes.
 
     Args:
@@ -399,17 +401,19 @@ def summarize_panels(exp: Experiment, rows: pd.DataFrame) -> list[RefinedPanel]:
     summaries, grid = [], make_lattice(exp.study)
     for names, part in iter_panels(exp.study, rows):
         counts = _count_rollouts(grid, part)
-        label = label_points(exp.study, counts)
+        label = label_lattice_points(exp.study, counts)
         wanted = bisect_cells(label, grid.halvings)
         seen = np.where(wanted, label, MISSING_LABEL)
-        filled, cells = fill_cells(seen, grid.halvings), leaf_cells(seen, grid.halvings)
+        filled, cells = infer_cell_labels(seen, grid.halvings), leaf_cells(seen, grid.halvings)
         audit = draw_audit_points(exp.study, wanted) & (label >= FAILURE_LABEL) & (filled >= FAILURE_LABEL)
         missed = int((label != filled)[audit].sum())
         undecided = int(_undecided_points(exp.study, counts).sum()) if exp.study.has_repeats else 0
         known = counts.total > 0
         merged = np.where(known, label, filled)
         success = success_rate(part["outcome"])
-        summaries.append(RefinedPanel(names, grid, merged, known, cells, success, int(audit.sum()), missed, undecided))
+        summaries.append(
+            RefinedMapPanel(names, grid, merged, known, cells, success, int(audit.sum()), missed, undecided)
+        )
     return summaries
 
 
@@ -438,7 +442,7 @@ def total_effects(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
     return table.dropna().sort_values("total", ascending=False, ignore_index=True)
 
 
-def rows_with_filled_cells(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
+def add_inferred_rows(exp: Experiment, rows: pd.DataFrame) -> pd.DataFrame:
     """Return the rows with an additional row for each lattice point whose label was filled in, so that a map has no
     holes.
 

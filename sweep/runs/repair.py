@@ -15,7 +15,7 @@ from sweep.core.files import path_inside_folder, printable_name
 from sweep.runs import manifest, store
 from sweep.runs.manifest import ManifestEntry
 from sweep.runs.parquet import read_parquet
-from sweep.runs.points_check import AssignedPoints
+from sweep.runs.points_check import PointsByBatch
 
 SMALL_PART_ROWS, MAX_PART_ROWS = (
     4096,
@@ -38,7 +38,7 @@ def verify_folder(folder: Path) -> tuple[list[str], list[str], int]:
     problems = [f"{folder / manifest.MANIFEST_FILE} is damaged in line {number}" for number in damaged]
     try:
         store.read_study(folder)
-    except store.DamagedFile as error:
+    except store.DamagedFileError as error:
         if not path_inside_folder(folder, store.PARTS_FOLDER).is_dir():
             raise
         problems.append(str(error))
@@ -122,21 +122,21 @@ def rebuild_points(folder: Path, parts: Sequence[ManifestEntry]) -> pd.DataFrame
     return rows[list(rows.columns[: rows.columns.get_loc("run_id")])]
 
 
-def _read_sound_points(folder: Path, listed: Sequence[ManifestEntry]) -> AssignedPoints | None:
+def _read_sound_points(folder: Path, listed: Sequence[ManifestEntry]) -> PointsByBatch | None:
     """Return the points table, or None where it is damaged or lacks batches of the listed parts."""
     path = path_inside_folder(folder, store.POINTS_FILE)
     planned = store.count_planned_rollouts(folder)
-    if not store.has_listed_points(folder, listed, planned):
+    if not store.has_intact_points_file(folder, listed, planned):
         return None
-    points = AssignedPoints(store.to_pandas(read_parquet(path, max_rows=planned)), str(path))
+    points = PointsByBatch(store.to_pandas(read_parquet(path, max_rows=planned)), str(path))
     return points if {b for e in listed for b in e.batches} <= points.batches() else None
 
 
-def _find_problem(folder: Path, entry: ManifestEntry, planned: int, points: AssignedPoints | None = None) -> str | None:
+def _find_problem(folder: Path, entry: ManifestEntry, planned: int, points: PointsByBatch | None = None) -> str | None:
     """Describe what is wrong with a listed file, or return None; with a points table, its rows are compared too."""
     path = path_inside_folder(folder, entry.file)
     try:
-        problem = entry.find_problem(path, planned)
+        problem = entry.find_file_mismatch(path, planned)
     except OSError as error:
         return files.os_error_text(error)
     if problem or points is None or not entry.batches:
@@ -146,7 +146,7 @@ def _find_problem(folder: Path, entry: ManifestEntry, planned: int, points: Assi
         rows = store.to_pandas(read_parquet(path, columns, max_rows=most))
     except InputError as error:
         return str(error)
-    return "; ".join(points.differences(rows, entry.batches)) or None
+    return "; ".join(points.row_differences(rows, entry.batches)) or None
 
 
 def _unlisted_files(folder: Path, entries: Sequence[ManifestEntry]) -> Iterator[Path]:
@@ -168,7 +168,7 @@ def _entry_from_metadata(folder: Path, path: Path, planned: int) -> ManifestEntr
         about = json.loads(pq.read_schema(path).metadata[store.METADATA_KEY])
         place = {"file": f"{path.parent.name}/{path.name}", "length": path.stat().st_size}
         entry = manifest.entry_from_json({**about, **place, "sha256": ""})
-        if path.stat().st_size > entry.largest_length(planned):
+        if path.stat().st_size > entry.max_file_size(planned):
             return None
         sha256 = files.digest_file(path)
         return replace(entry, sha256=sha256) if path.stem.endswith(f"-{sha256[:12]}") else None
@@ -176,7 +176,7 @@ def _entry_from_metadata(folder: Path, path: Path, planned: int) -> ManifestEntr
         return None
 
 
-def _belongs(folder: Path, entry: ManifestEntry, kept: Sequence[ManifestEntry], points: AssignedPoints | None) -> bool:
+def _belongs(folder: Path, entry: ManifestEntry, kept: Sequence[ManifestEntry], points: PointsByBatch | None) -> bool:
     """Whether a part that is not listed belongs to the points table and holds no batch of a listed part.
 
     Without a points table, none of its points may be in a listed part.

@@ -9,14 +9,14 @@ from typing import Any
 import pandas as pd
 
 from sweep.analysis import sensitivity
-from sweep.analysis.axis_effects import compare_along_axes
+from sweep.analysis.axis_effects import check_axis_effects
 from sweep.analysis.sample import drop_repeated_rollouts
 from sweep.config.experiment import Experiment, build_experiment
 from sweep.core.distinct_values import has_several_values
 from sweep.core.errors import InputError
 from sweep.core.expressions import condition_columns, condition_mask
 from sweep.runs import store
-from sweep.study.study import name_axes, parameter_columns
+from sweep.study.study import attach_axis_names, parameter_columns
 
 
 @dataclass(frozen=True)
@@ -49,17 +49,17 @@ class Results:
         return [c for c in self.axes if c not in self.numeric_columns]
 
     @cached_property
-    def listed_numeric_columns(self) -> list[str]:
+    def numeric_grid_columns(self) -> list[str]:
         """Names of the varied columns with listed numbers, as in a grid; all numeric ones for a CSV table of points."""
         if self.exp.study.points:
             return self.numeric_columns
-        own = [a.column for a in sensitivity.listed_axes(self.rows, self.exp)]
+        own = [a.column for a in sensitivity.listed_value_axes(self.rows, self.exp)]
         return [c for c in self.numeric_columns if c in own]
 
     @property
     def is_one_at_a_time(self) -> bool:
         """Whether every parameter is varied alone, with all others at their nominal values."""
-        return self.exp.study.design.varies_axes_alone and not self.exp.study.points
+        return self.exp.study.design.is_one_at_a_time and not self.exp.study.points
 
     @property
     def name(self) -> str:
@@ -101,7 +101,7 @@ def load_experiment(folder: Path) -> Experiment:
         raise InputError(f"{folder}, by version {stored['commit'] or stored['code']}: {error}") from None
 
 
-def empty_rows(folder: Path, exp: Experiment) -> pd.DataFrame:
+def make_empty_row_table(folder: Path, exp: Experiment) -> pd.DataFrame:
     """Return a table without rows that has the columns and types of a folder's rows; conditions may use names of axes.
 
     Args:
@@ -111,7 +111,7 @@ def empty_rows(folder: Path, exp: Experiment) -> pd.DataFrame:
     Raises:
         InputError: There are no rows yet, or a part is damaged.
     """
-    return name_axes(store.read_column_types(folder), exp.study.axes)
+    return attach_axis_names(store.read_column_types(folder), exp.study.axes)
 
 
 def iterate_matching_rows(
@@ -131,9 +131,11 @@ def iterate_matching_rows(
     Raises:
         InputError: The folder is damaged, or the condition names no column.
     """
-    wanted = [*dict.fromkeys([*columns, *condition_columns(empty_rows(folder, exp), where)])]
+    wanted = [*dict.fromkeys([*columns, *condition_columns(make_empty_row_table(folder, exp), where)])]
     for part in store.iterate_parts(folder, wanted):
-        rows = name_axes(part.to_pandas().reindex(columns=wanted), exp.study.axes)  # a group may lack others' metrics
+        rows = attach_axis_names(
+            part.to_pandas().reindex(columns=wanted), exp.study.axes
+        )  # a group may lack others' metrics
         yield rows.loc[condition_mask(rows, where), list(columns)], len(rows)
 
 
@@ -154,9 +156,9 @@ def read_results(folder: Path, where: str | None = None, with_bookkeeping: bool 
     """
     stored, exp = store.read_study(folder), load_experiment(folder)
     columns = None if with_bookkeeping or exp.study.is_adaptive else _columns_without_bookkeeping(folder, exp, where)
-    rows = name_axes(store.read_rows(folder, columns), exp.study.axes)
-    if columns and any(pairs.are_equal for pairs in compare_along_axes(rows, exp).values()):
-        rows = name_axes(store.read_rows(folder), exp.study.axes)
+    rows = attach_axis_names(store.read_rows(folder, columns), exp.study.axes)
+    if columns and any(pairs.are_equal for pairs in check_axis_effects(rows, exp).values()):
+        rows = attach_axis_names(store.read_rows(folder), exp.study.axes)
     done = len(rows)
     if where:
         rows = rows[condition_mask(rows, where)].reset_index(drop=True)
@@ -167,7 +169,7 @@ def read_results(folder: Path, where: str | None = None, with_bookkeeping: bool 
 
 
 def _columns_without_bookkeeping(folder: Path, exp: Experiment, where: str | None) -> list[str]:
-    empty = empty_rows(folder, exp)
+    empty = make_empty_row_table(folder, exp)
     conditions = [where, *(text for one in exp.study.expect for text in (one.where, one.that))]
     named = {column for text in conditions if text for column in condition_columns(empty, text)}
     return [c for c in empty.columns if c in named or c not in exp.system.bookkeeping_metrics]

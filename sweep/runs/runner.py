@@ -24,18 +24,18 @@ from sweep.runs.batches import (
     Batch,
     allocate_delay_buffers,
     assign_batches,
-    forget_engine,
+    clear_engine_cache,
     halve_batches,
     make_batch,
     make_engine,
     make_nominal_batch,
-    mask_of_points,
+    point_membership_mask,
 )
 from sweep.runs.manifest import ManifestEntry
 from sweep.study import design_kinds
 from sweep.study.clusters import DispatchFunction
 from sweep.study.columns import metric_columns
-from sweep.study.study import Logger, make_points, name_axes
+from sweep.study.study import Logger, attach_axis_names, make_points
 
 # Keys that may differ between runs into one folder: they choose points, or judge rows. The distribution that draws
 # follow may not change, and of a design only settings that let it grow.
@@ -94,7 +94,7 @@ class Job:
         return self.table.take(np.sort(np.concatenate([np.zeros(0, dtype=int), *places])))
 
 
-def select_points(
+def select_points_to_simulate(
     exp: Experiment,
     where: str | None = None,
     limit: int | None = None,
@@ -120,7 +120,7 @@ def select_points(
         exp.study, exp.system, exp.settings, on_message=on_message, with_ids=with_ids or where is not None
     )
     if where is not None:
-        table = table[condition_mask(name_axes(table, exp.study.axes), where)]
+        table = table[condition_mask(attach_axis_names(table, exp.study.axes), where)]
     table = table.iloc[:limit]
     if table.empty:
         raise InputError(f"no point of {exp.study.name} matches the selection")
@@ -142,7 +142,7 @@ def count_unassigned_points(exp: Experiment, table: pd.DataFrame, wanted: pd.Dat
         return 0
     if not exp.study.points and len(wanted) == exp.study.max_rollouts:
         return 0
-    return int((~mask_of_points(make_points(exp.study, exp.system, exp.settings), table)).sum())
+    return int((~point_membership_mask(make_points(exp.study, exp.system, exp.settings), table)).sum())
 
 
 def prepare_job(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
@@ -161,7 +161,7 @@ def prepare_job(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
     """
     planned = store.read_points(folder)
     if len(planned):
-        refuse_other_study(store.read_study(folder), exp, folder)
+        require_same_study(store.read_study(folder), exp, folder)
         if differ := set(planned.columns) ^ {*wanted.columns, "group", "batch", "slot", "width"}:
             raise InputError(f"{folder} holds a study with other axes ({', '.join(sorted(differ))}): give out=DIR")
     every = pd.concat([planned, wanted], ignore_index=True) if len(planned) else wanted  # no copy of millions of rows
@@ -169,7 +169,7 @@ def prepare_job(exp: Experiment, folder: Path, wanted: pd.DataFrame) -> Job:
     table = assign_batches(buffered, planned, wanted)
     time_series.check_history_size(buffered, table)
     unplanned = count_unassigned_points(exp, table, wanted)  # by the points' ids, which are not those with a buffer
-    chosen = table["batch"][mask_of_points(table, wanted)] if len(planned) else table["batch"]
+    chosen = table["batch"][point_membership_mask(table, wanted)] if len(planned) else table["batch"]
     return Job(buffered, folder, table, set(chosen.unique().tolist()), unplanned)
 
 
@@ -192,8 +192,8 @@ def repair_folder(exp: Experiment, folder: Path) -> list[str]:
         stored = store.read_study(folder)
         labels = stored["labels"]
         if entries:
-            refuse_other_study(stored, exp, folder)
-    except store.DamagedFile:
+            require_same_study(stored, exp, folder)
+    except store.DamagedFileError:
         if any(entry.batches and (entry.study, entry.labels) != (study, labels) for entry in entries):
             raise InputError(
                 f"{folder / store.STUDY_FILE} is lost or damaged, and the rows are of another study, version or "
@@ -206,12 +206,12 @@ def repair_folder(exp: Experiment, folder: Path) -> list[str]:
         for group, rows in planned.groupby("group"):
             start = make_nominal_batch(job.exp, rows, int(rows["width"].iloc[0]))
             record.stages[int(group)] = list(make_engine(job.exp, start).stages)  # pyright: ignore[reportArgumentType]
-        write_description(job, record)
+        write_study_file(job, record)
         lines.append(f"{folder / store.STUDY_FILE} was missing or damaged: written again")
     return lines
 
 
-def refuse_other_study(stored: Mapping[str, Any], exp: Experiment, folder: Path) -> None:
+def require_same_study(stored: Mapping[str, Any], exp: Experiment, folder: Path) -> None:
     """Raise `InputError` if settings or code of the experiment differ from those of the rows in a folder.
 
     Args:
@@ -271,12 +271,12 @@ def immutable_settings(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def study_id(values: Mapping[str, Any]) -> str:
     """Return the digest of what all rows of a folder share: configuration and code."""
-    return store.digest([immutable_settings(values), provenance.code_version()])
+    return store.digest_values([immutable_settings(values), provenance.code_version()])
 
 
 def labels_id(values: Mapping[str, Any]) -> str:
     """Return the digest of the thresholds and code that judge rows as success or failure."""
-    return store.digest([values["outcome"], provenance.code_version()])
+    return store.digest_values([values["outcome"], provenance.code_version()])
 
 
 def run_job(job: Job, progress: ProgressCallback, dispatch: DispatchFunction = map) -> Job:
@@ -300,8 +300,8 @@ def run_job(job: Job, progress: ProgressCallback, dispatch: DispatchFunction = m
         stored = store.read_study(folder)
         record = RunRecord(stored["stages"], stored["devices"])
         if stored["labels"] != job.labels_digest:
-            relabel(folder, exp.values["outcome"])
-    write_description(job, record)
+            relabel_folder(folder, exp.values["outcome"])
+    write_study_file(job, record)
     while missing := job.missing_batches():
         store.write_points(folder, job.table)
         out_of_memory: list[FinishedBatch] = []  # batches that did not fit into memory
@@ -310,10 +310,10 @@ def run_job(job: Job, progress: ProgressCallback, dispatch: DispatchFunction = m
             if done.entry is None:
                 out_of_memory.append(done)
                 continue
-            rows = list_finished_part(job, done, done.entry)
+            rows = register_finished_part(job, done, done.entry)
             if done.device not in record.devices:
                 record.devices.append(done.device)
-                write_description(job, record)
+                write_study_file(job, record)
             where = f"{done.host}, {done.device}"
             store.append_to_log(
                 folder, f"batch {done.batch}: {len(rows)} rollouts, {rows['wall_s'].sum():.1f} s on {where}"
@@ -325,7 +325,7 @@ def run_job(job: Job, progress: ProgressCallback, dispatch: DispatchFunction = m
     return job
 
 
-def list_finished_part(job: Job, done: "FinishedBatch", entry: ManifestEntry) -> pd.DataFrame:
+def register_finished_part(job: Job, done: "FinishedBatch", entry: ManifestEntry) -> pd.DataFrame:
     """Add the file of rows that a worker wrote to the manifest, so that its rows count; return outcomes and wall times.
 
     Args:
@@ -348,11 +348,11 @@ def list_finished_part(job: Job, done: "FinishedBatch", entry: ManifestEntry) ->
     } - {job.study_digest}:
         raise Fault(f"{done.host} simulated batch {done.batch} of another study, or judged it by other thresholds")
     rows = store.read_table(job.folder, entry, PROGRESS_COLUMNS, len(job.table)).to_pandas()
-    manifest.append_entries(job.folder, *limit_last_states(job.folder, done.recordings), entry)
+    manifest.append_entries(job.folder, *limit_last_state_recordings(job.folder, done.recordings), entry)
     return rows
 
 
-def limit_last_states(folder: Path, recordings: tuple[ManifestEntry, ...]) -> list[ManifestEntry]:
+def limit_last_state_recordings(folder: Path, recordings: tuple[ManifestEntry, ...]) -> list[ManifestEntry]:
     """Keep the final states of at most `MAX_INVALID_ROWS` invalid rows of a folder; return the recordings that remain.
 
     Workers do not know of each other, so together they may record too many.
@@ -382,7 +382,7 @@ def iter_batches(
         start = make_nominal_batch(job.exp, rows, width)
         engine = make_engine(job.exp, start)
         record.stages[group] = list(engine.stages)
-        write_description(job, record)
+        write_study_file(job, record)
         how = f"{start.settings}, {engine.dynamics} dynamics"
         store.append_to_log(job.folder, f"group {group}: {how}, {len(rows)} rollouts of {engine.duration:g} s")
         for number in rows["batch"].unique().tolist():
@@ -458,7 +458,7 @@ def simulate_on_worker(folder: Path, version: str, code: str, number: int) -> Fi
         for line in user_code.take_printed_lines(with_tracebacks=True):
             store.append_to_log(folder, line)
     if entry is None:  # outside the handler, whose exception keeps the arrays alive
-        forget_engine()
+        clear_engine_cache()
     return FinishedBatch(number, host, job.exp.system.device(start.settings), engine.devices, entry, beside)
 
 
@@ -474,7 +474,7 @@ def last_states_of_invalid_rows(
         finished: Its finished rows.
 
     Returns:
-        A table for each recorded row, see `time_series.simulate_last_states`.
+        A table for each recorded row, see `time_series.record_ends_of_invalid_rollouts`.
     """
     if not (finished["outcome"] == INVALID).any():
         return []
@@ -483,7 +483,7 @@ def last_states_of_invalid_rows(
     )
     try:
         return (
-            time_series.simulate_last_states(job.exp, engine, make_batch(job.exp, rows), finished, room)
+            time_series.record_ends_of_invalid_rollouts(job.exp, engine, make_batch(job.exp, rows), finished, room)
             if room > 0
             else []
         )
@@ -499,7 +499,7 @@ def _read_job(folder: Path, version: str) -> Job:
     )
 
 
-def write_description(job: Job, record: RunRecord) -> None:
+def write_study_file(job: Job, record: RunRecord) -> None:
     """Write `study.yaml`: configuration, number of rollouts, versions, and the facts recorded so far."""
     about = {"config": job.exp.values, "rollouts": len(job.table) + job.unassigned_points, "labels": job.labels_digest}
     there = {"stages": record.stages, "devices": record.devices, **provenance.version_record()}
@@ -518,7 +518,7 @@ def simulate_batch(exp: Experiment, engine: Engine, rows: pd.DataFrame) -> tuple
         Finished rows: points, metrics, outcome, and wall time per rollout (s); and the time histories that the study
         keeps of them, or None.
     """
-    task, slots, samples = make_batch(exp, rows), time_series.slots_with_time_series(exp, rows), None
+    task, slots, samples = make_batch(exp, rows), time_series.find_recorded_slots(exp, rows), None
     watched = time_series.make_time_series_request(exp, task.settings)
     start = time.perf_counter()
     if len(slots):
@@ -545,7 +545,7 @@ def prepare_single_batch(exp: Experiment) -> tuple[Experiment, pd.DataFrame]:
         InputError: The nominal plan is impossible.
     """
     exp = replace(exp, settings=replace(exp.settings, width=exp.settings.width or 1))
-    table = assign_batches(exp, pd.DataFrame(), select_points(exp))
+    table = assign_batches(exp, pd.DataFrame(), select_points_to_simulate(exp))
     return allocate_delay_buffers(exp, table), table
 
 
@@ -563,7 +563,7 @@ def run_single_batch(exp: Experiment) -> pd.DataFrame:
         raise Fault("a rollout does not fit in the memory of the device") from None
 
 
-def relabel(folder: Path, outcome: Mapping[str, Any]) -> None:
+def relabel_folder(folder: Path, outcome: Mapping[str, Any]) -> None:
     """Label all stored rows of a folder again by other thresholds, without simulating.
 
     New parts are written beside the old ones and count once study.yaml has their digest: all rows are judged anew, or
@@ -590,7 +590,7 @@ def relabel(folder: Path, outcome: Mapping[str, Any]) -> None:
     repair.remove_parts(folder, before)
 
 
-def load_point(folder: Path, point: str) -> tuple[Batch, int, pd.Series]:
+def load_stored_rollout(folder: Path, point: str) -> tuple[Batch, int, pd.Series]:
     """Return the batch of a stored rollout, its position there and its row, from which to simulate it again.
 
     On the same device the same batch gives the same bits.

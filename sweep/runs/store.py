@@ -24,8 +24,8 @@ from sweep.core.files import path_inside_folder
 from sweep.core.yaml_check import check_yaml
 from sweep.runs import manifest
 from sweep.runs.manifest import PARTS_FOLDER, POINTS_FILE, SUBFOLDERS, ManifestEntry
-from sweep.runs.parquet import check_expansion, column_names, decoded_schema, read_parquet
-from sweep.runs.points_check import KEY_COLUMNS, AssignedPoints
+from sweep.runs.parquet import check_decompressed_size, column_names, decoded_schema, read_parquet
+from sweep.runs.points_check import KEY_COLUMNS, PointsByBatch
 from sweep.study.columns import VERDICT_COLUMNS
 from sweep.study.size_limits import MAX_STUDY_ROLLOUTS
 
@@ -45,7 +45,7 @@ CHECKSUM_PREFIX = project.CHECKSUM_PREFIX
 METADATA_KEY = b"sweep"  # of the Parquet metadata with a part's study, thresholds and batches
 
 
-class DamagedFile(InputError):
+class DamagedFileError(InputError):
     """Error: a stored file is missing or has changed since it was written; `sweep run` repairs it."""
 
 
@@ -100,11 +100,11 @@ def read_study(folder: Path) -> dict[str, Any]:
     """Return the content of `study.yaml`.
 
     Raises:
-        DamagedFile: The folder is not a study's, or the file has changed.
+        DamagedFileError: The folder is not a study's, or the file has changed.
         InputError: The folder has another format.
     """
     path = path_inside_folder(folder, STUDY_FILE)
-    damaged = DamagedFile(f"{path} is damaged: repeat the same `sweep run` to repair it")
+    damaged = DamagedFileError(f"{path} is damaged: repeat the same `sweep run` to repair it")
     try:
         text, check, given = files.read_bytes_limited(path, MAX_STUDY_FILE_BYTES).rpartition(CHECKSUM_PREFIX.encode())
         if check and given != f"{files.digest(text)}\n".encode():
@@ -113,7 +113,7 @@ def read_study(folder: Path) -> dict[str, Any]:
         check_yaml(body, str(path), numbers=False)  # a dump has no ambiguous numbers
         content = yaml.load(body, project.YAML_LOADER)
     except (FileNotFoundError, NotADirectoryError):
-        raise DamagedFile(f"{folder} is not a folder of results: it has no {STUDY_FILE}") from None
+        raise DamagedFileError(f"{folder} is not a folder of results: it has no {STUDY_FILE}") from None
     except InputError:
         raise
     except (OSError, ValueError, RecursionError, yaml.YAMLError):
@@ -142,11 +142,11 @@ def count_planned_rollouts(folder: Path) -> int:
     """
     try:
         return min(read_study(folder)["rollouts"], MAX_STUDY_ROLLOUTS)
-    except DamagedFile:
+    except DamagedFileError:
         return MAX_STUDY_ROLLOUTS
 
 
-def digest(values: Any) -> str:
+def digest_values(values: Any) -> str:
     """Return a digest of plain values as 16 hexadecimal digits."""
     return files.digest(json.dumps(values, sort_keys=True).encode())[:16]
 
@@ -161,7 +161,7 @@ def write_points(folder: Path, points: pd.DataFrame) -> None:
     files.write_atomically(path_inside_folder(folder, POINTS_FILE), content)
 
 
-def has_listed_points(folder: Path, entries: Sequence[ManifestEntry], planned: int) -> bool:
+def has_intact_points_file(folder: Path, entries: Sequence[ManifestEntry], planned: int) -> bool:
     """Return whether a folder holds the table of planned points just as its manifest lists it.
 
     Args:
@@ -173,7 +173,7 @@ def has_listed_points(folder: Path, entries: Sequence[ManifestEntry], planned: i
     try:
         length = path.stat().st_size
         listed = [entry for entry in entries if entry.file == POINTS_FILE and entry.length == length]
-        if not listed or length > listed[0].largest_length(planned):
+        if not listed or length > listed[0].max_file_size(planned):
             return False
         return files.digest_file(path) in {entry.sha256 for entry in listed}
     except OSError:
@@ -197,8 +197,8 @@ def read_points(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFr
     if not path.exists():
         return pd.DataFrame()
     planned = count_planned_rollouts(folder)
-    if not has_listed_points(folder, manifest.read_manifest(folder), planned):
-        raise DamagedFile(f"{path} is damaged: repeat the same `sweep run` to repair it")
+    if not has_intact_points_file(folder, manifest.read_manifest(folder), planned):
+        raise DamagedFileError(f"{path} is damaged: repeat the same `sweep run` to repair it")
     return read_parquet(path, columns, has_row_names=True, max_rows=planned).to_pandas()
 
 
@@ -369,7 +369,7 @@ def read_part(folder: Path, entry: ManifestEntry, planned: int | None = None) ->
     return read_table(folder, entry, planned=planned).to_pandas()
 
 
-def last_seconds_per_rollout(folder: Path) -> float | None:
+def last_rollout_wall_time_s(folder: Path) -> float | None:
     """Return the wall time of a rollout (s) in the last batch of a folder; None where it is unknown."""
     try:
         done = list_current_parts(folder)
@@ -395,7 +395,7 @@ def read_table(
     path = path_inside_folder(folder, entry.file)
     planned = count_planned_rollouts(folder) if planned is None else planned
     try:
-        problem = entry.find_problem(path, planned)
+        problem = entry.find_file_mismatch(path, planned)
     except OSError as error:
         problem = files.os_error_text(error)
     if problem:
@@ -420,7 +420,7 @@ def read_rows(folder: Path, columns: Sequence[str] | None = None) -> pd.DataFram
     size = sum(entry.length for entry in list_current_parts(folder))
     for part in iterate_parts(folder, columns):
         total += part.nbytes
-        check_expansion(folder, total, size)
+        check_decompressed_size(folder, total, size)
         tables.append(part)
         del part
     names = [*dict.fromkeys(name for one in tables for name in one.column_names)]
@@ -477,7 +477,7 @@ def iterate_parts(folder: Path, columns: Sequence[str] | None = None) -> Iterato
             parts, points = now, _read_points_table(folder, wanted)
             continue
         planned = [name for name in points.rows.columns if name in table.column_names]
-        if problems := points.differences(to_pandas(table.select(planned)), entry.batches):
+        if problems := points.row_differences(to_pandas(table.select(planned)), entry.batches):
             raise InputError(
                 f"{folder} does not hold the rows of its {POINTS_FILE}: {problems[0]}; `sweep verify` names all"
             )
@@ -491,12 +491,12 @@ def iterate_parts(folder: Path, columns: Sequence[str] | None = None) -> Iterato
         yield table
 
 
-def _read_points_table(folder: Path, columns: Sequence[str] | None) -> AssignedPoints:
+def _read_points_table(folder: Path, columns: Sequence[str] | None) -> PointsByBatch:
     # after the parts are listed: a run that goes on plans its batches before it finishes them
     planned = read_points(folder, columns)
     if planned.empty:
-        raise DamagedFile(f"{folder / POINTS_FILE} is missing: repeat the same `sweep run` to repair it")
-    return AssignedPoints(planned, str(folder / POINTS_FILE))
+        raise DamagedFileError(f"{folder / POINTS_FILE} is missing: repeat the same `sweep run` to repair it")
+    return PointsByBatch(planned, str(folder / POINTS_FILE))
 
 
 def list_columns(folder: Path) -> list[str]:

@@ -17,7 +17,7 @@ from sweep.core.outcomes import INVALID
 from sweep.runs import store
 from sweep.runs.batches import Batch, make_engine, make_nominal_batch
 from sweep.runs.manifest import ManifestEntry
-from sweep.study.study import identity_columns
+from sweep.study.study import rollout_id_columns
 
 MAX_INVALID_ROWS = 10  # of a folder, whose last states are stored
 LAST_STATES_DURATION_S = 1.0  # of such a row that are stored, s
@@ -30,7 +30,7 @@ def make_time_series_request(exp: Experiment, settings: EngineSettings) -> TimeS
     return TimeSeriesRequest(exp.study.keep, every, exp.study.keep_rows)
 
 
-def slots_with_time_series(exp: Experiment, rows: pd.DataFrame) -> np.ndarray:
+def find_recorded_slots(exp: Experiment, rows: pd.DataFrame) -> np.ndarray:
     """Return the slots (positions in a batch) of the rollouts whose time series the study keeps."""
     return np.flatnonzero(rows.index < exp.study.keep_rows) if exp.study.keep else np.zeros(0, int)
 
@@ -79,7 +79,7 @@ def time_series_table(
     """
     within = (time[None] <= until[:, None]).ravel()
     number = np.repeat(np.arange(len(rows)), len(time))[within]
-    named = rows[identity_columns(rows.columns)].iloc[number].reset_index(drop=True)
+    named = rows[rollout_id_columns(rows.columns)].iloc[number].reset_index(drop=True)
     values = np.moveaxis(samples, 0, 1).reshape(-1, len(columns))[within].astype(np.float32)
     clock = np.tile(time, len(rows))[within]
     return pd.concat([named.assign(time_s=clock), pd.DataFrame(values, columns=list(columns))], axis=1)
@@ -102,7 +102,7 @@ def histories_table(
     return time_series_table(rows, samples, time, rows["duration_s"].to_numpy() + period / 2, watched.columns)
 
 
-def simulate_last_states(
+def record_ends_of_invalid_rollouts(
     exp: Experiment, engine: Engine, task: Batch, finished: pd.DataFrame, limit: int
 ) -> list[pd.DataFrame]:
     """Simulate a batch again and record every control tick of the last second of its invalid rollouts.

@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweep.config.experiment import Experiment
-from sweep.core.errors import InputError, suggest
+from sweep.core.errors import InputError, format_name_suggestion
 from sweep.core.files import append_line, write_atomically
-from sweep.study.study import make_points, needs_other_engine, parameter_columns
+from sweep.study.study import make_points, needs_recompilation, parameter_columns
 
 DEFAULT_STEP = 0.02  # first step of a free number for which none is given
 STEP_BY_WORD = {"pitch": 2.0, "elevation": 2.0}  # first steps (deg) by the last word of a number's path
@@ -51,7 +51,7 @@ FIRST_RADIUS, MAX_RADIUS, MAX_HALVINGS = (
 )  # trust radius in first steps: first, largest; and how often it is halved
 
 
-def parse_free_numbers(
+def parse_free_plan_numbers(
     numbers: Mapping[str, float], patterns: Sequence[str], formulas: Collection[str] = ()
 ) -> dict[str, float]:
     """Parse `--free`: the numbers of a plan to optimise, and their initial step sizes.
@@ -77,9 +77,8 @@ def parse_free_numbers(
         except ValueError:
             raise InputError(f"--free = {text} is not allowed: a pattern, or PATTERN=STEP") from None
         if not steps or min(steps.values()) <= 0:
-            raise InputError(
-                f"--free = {text} matches no number of the plan{suggest(pattern, numbers).partition(' (allowed')[0]}"
-            )
+            suggestion = format_name_suggestion(pattern, numbers).partition(" (allowed")[0]
+            raise InputError(f"--free = {text} matches no number of the plan{suggestion}")
         first_steps |= steps
     return first_steps
 
@@ -100,7 +99,7 @@ def draw_beliefs(exp: Experiment, seed: int) -> tuple[Any, int]:
     table = make_points(replace(exp.study, seed=seed), exp.system, exp.settings)
     columns = parameter_columns(table)
     for column in columns:
-        if needs_other_engine(column, exp.system, exp.settings):
+        if needs_recompilation(column, exp.system, exp.settings):
             raise InputError(f"axis {column} cannot be drawn for a plan: it changes its stages")
     return exp.system.make_world_and_belief({c: table[c].to_numpy(float) for c in columns})[1], len(table)
 
@@ -133,7 +132,7 @@ def search_by_cma(
         import cma
     except ImportError:
         raise InputError("sweep tune needs the package cma: pip install 'insect-sweep[tune]'") from None
-    entries = resume_log(log, settings)
+    entries = resume_search_log(log, settings)
     options = {
         "popsize": settings["population"],
         "seed": settings["seed"],
@@ -216,7 +215,7 @@ def search_by_gradients(
     Raises:
         InputError: The log belongs to another search.
     """
-    entries = resume_log(log, settings)
+    entries = resume_search_log(log, settings)
     done, least, *parts = entries[-1] if entries else (0, np.inf, *np.zeros((4, len(first))))
     now = AdamState(done, least, *map(np.array, parts))
     while now.steps < settings["generations"]:
@@ -231,7 +230,7 @@ def search_by_gradients(
     return first + steps * now.best
 
 
-def fit_size_slopes(
+def fit_plan_slopes_over_sizes(
     deficits: Callable[[np.ndarray], np.ndarray],
     slopes: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
     steps: np.ndarray,
@@ -242,8 +241,8 @@ def fit_size_slopes(
 ) -> np.ndarray:
     """Fit how a plan's numbers should change with sizes of robot and obstacle, by sequential linear programming.
 
-    A program moves no farther than a trust radius, which halves until the mean `cost_of_draws` falls; if it never does,
-    the search ends.
+    A program moves no farther than a trust radius, which halves until the mean `margin_deficit_cost` falls; if it
+    never does, the search ends.
 
     Args:
         deficits: Function from the change of every draw's numbers (draws, n) to deficits (draws, margins).
@@ -262,16 +261,16 @@ def fit_size_slopes(
         InputError: The log belongs to another search.
     """
     spread = np.maximum(np.abs(shares).max(axis=0), 1e-12)
-    by, entries = shares / spread, resume_log(log, settings)
+    by, entries = shares / spread, resume_search_log(log, settings)
     radius, at = entries[-1] if entries else (FIRST_RADIUS, np.zeros((len(steps), len(spread))))
     at = np.array(at)  # slopes in first steps, per largest share of a draw
-    least = cost_of_draws(deficits(steps * (by @ at.T))).mean()
+    least = margin_deficit_cost(deficits(steps * (by @ at.T))).mean()
     for k in range(len(entries), settings["generations"]):
         progress(k, least)
         lack, slope = slopes(steps * (by @ at.T))
         for tried in radius / 2.0 ** np.arange(MAX_HALVINGS):
             to = solve_linear_program(lack, slope * steps, by, at, tried)
-            if (mean_cost := cost_of_draws(deficits(steps * (by @ to.T))).mean()) < least:
+            if (mean_cost := margin_deficit_cost(deficits(steps * (by @ to.T))).mean()) < least:
                 break
         else:
             break
@@ -280,7 +279,7 @@ def fit_size_slopes(
     return steps[:, None] * at / spread
 
 
-def cost_of_draws(deficit: np.ndarray) -> np.ndarray:
+def margin_deficit_cost(deficit: np.ndarray) -> np.ndarray:
     """Return the cost (draws,) of margin deficits (draws, margins): the largest of each draw plus a small share of
     their sum.
 
@@ -322,7 +321,7 @@ def solve_linear_program(
     largest = minus_column(pairs // deficit.shape[-1], count)
     rows = block_array([[moves, -moves, minus_column(pair, len(pairs)), None],
                         [None, None, eye_array(len(pairs)), largest]])  # fmt: skip
-    weight = np.exp(-cost_of_draws(deficit.max(axis=1)) / COST_SCALE) / count
+    weight = np.exp(-margin_deficit_cost(deficit.max(axis=1)) / COST_SCALE) / count
     price = np.concatenate(
         [np.full(2 * present_slopes.size, STEP_COST), SUM_WEIGHT * weight[pairs // deficit.shape[-1]], weight]
     )
@@ -339,7 +338,7 @@ def solve_linear_program(
     return up - down
 
 
-def resume_log(log: Path, settings: Mapping[str, Any]) -> list[Any]:
+def resume_search_log(log: Path, settings: Mapping[str, Any]) -> list[Any]:
     """Read the log of an interrupted search, or start a new log.
 
     Args:

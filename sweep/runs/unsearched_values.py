@@ -5,7 +5,7 @@ import pandas as pd
 from sweep.config.experiment import Experiment
 
 
-def describe_unsearched_values(exp: Experiment, points: pd.DataFrame) -> list[str]:
+def describe_values_outside_tuned_range(exp: Experiment, points: pd.DataFrame) -> list[str]:
     """Describe which values of a study lie outside the ranges for which the controller's plan was optimised.
 
     Args:
@@ -17,5 +17,5 @@ def describe_unsearched_values(exp: Experiment, points: pd.DataFrame) -> list[st
     """
     words = f"scenario={exp.scenario} study={exp.study.name}"
     command = f"sweep tune {words} --follow --simulate out=plans/{exp.scenario}.yaml"
-    lines = exp.system.describe_unsearched_values(points, exp.settings) if len(points) else ()
+    lines = exp.system.controller_range_warnings(points, exp.settings) if len(points) else ()
     return [f"{line}: `{command}` searches for these" for line in lines]

@@ -36,7 +36,7 @@ class RoundSummary(NamedTuple):
     failed: Bool[np.ndarray, " n"]  # invalid ones among them
     lead: Float[np.ndarray, " n"]  # the smaller, the nearer to failure
 
-    def select(self, rows: slice) -> "RoundSummary":
+    def select_draws(self, rows: slice) -> "RoundSummary":
         """Return the outcomes of some of the round's draws, chosen by a slice."""
         return RoundSummary(self.failed[rows], self.lead[rows])
 

@@ -41,7 +41,7 @@ class AnalyticParameterLimit:
         Raises:
             InputError: An input is not allowed.
         """
-        outputs = find_formula(self.formula).compute(self.formula_inputs(value_of))
+        outputs = find_formula(self.formula).evaluate_to_arrays(self.formula_inputs(value_of))
         return float(outputs[self.output])
 
     def formula_inputs(self, value_of: Callable[[str], Any]) -> dict[str, Any]:

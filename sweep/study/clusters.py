@@ -266,7 +266,7 @@ def _collect_results(client: Any, status: WorkerStatus, work: BatchFunction, bat
             seconds, result = future.result(timeout=FETCH_TIMEOUT_S)
         except TimeoutError:  # it is on a worker that hangs over another batch
             ready.add(future)
-            watch.report_unfetched(future)
+            watch.restart_worker_with_unsent_result(future)
             watch.poll()
             continue
         except KilledWorker as error:
@@ -325,7 +325,7 @@ class _WorkerWatch:
                 self.warm_workers.add(worker)
             if not before or not before <= keys:
                 self.started_s[worker] = now
-            if keys and now - self.started_s[worker] > self.time_limit_s(worker):
+            if keys and now - self.started_s[worker] > self.batch_time_limit_s(worker):
                 self.restart_worker(worker, min(self.numbers[key] for key in keys), now - self.started_s[worker])
         self.tasks = tasks
 
@@ -345,7 +345,7 @@ class _WorkerWatch:
         self.status.on_message(f"no worker has joined the scheduler {self.address} for {JOIN_TIMEOUT_S:.0f} s: {why}")
         self.no_worker_since_s = now_s + REPEAT_AFTER_S - JOIN_TIMEOUT_S
 
-    def report_unfetched(self, future: Any) -> None:
+    def restart_worker_with_unsent_result(self, future: Any) -> None:
         """Restart a worker that holds a result but does not send it."""
         now = time.monotonic()
         waited_s = now - self.first_asked_s.setdefault(future.key, now)
@@ -367,7 +367,7 @@ class _WorkerWatch:
         self.client.restart_workers([worker], timeout=RESTART_TIMEOUT_S, raise_for_error=False)
         self.started_s[worker] = time.monotonic()
 
-    def time_limit_s(self, worker: str) -> float:
+    def batch_time_limit_s(self, worker: str) -> float:
         """Return the time limit (s) of a worker for one batch."""
         usual = MEDIANS_PER_LIMIT * statistics.median(self.durations_s) if self.durations_s else 0.0
         return max(usual, MIN_TIME_LIMIT_S if worker in self.warm_workers else FIRST_BATCH_LIMIT_S)

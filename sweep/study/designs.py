@@ -16,15 +16,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweep.contract.system import SIDES
-from sweep.core.errors import InputError, require_choice, suggest
-from sweep.core.parameters import check_value
+from sweep.core.errors import InputError, format_name_suggestion, require_choice
+from sweep.core.parameters import convert_and_check_value
 from sweep.study import adaptive_sampling, design_kinds
 from sweep.study.design_kinds.base import GRIDS, Design, DrawContext
 from sweep.study.distributions import (
     Distribution,
     format_values,
     parse_number,
-    parse_values,
+    parse_value_list,
     refuse_spreadsheet_formula,
     require_known_keys,
 )
@@ -66,7 +66,7 @@ class Axis:
     nominal: float  # n of an axis without a path where it is not varied
 
     @property
-    def target(self) -> str | None:
+    def parameter_column(self) -> str | None:
         """Column of the points table with the parameter's values; None for an axis without a path."""
         return self.path if self.path is None or self.side == "both" else f"{self.side}.{self.path}"
 
@@ -74,9 +74,9 @@ class Axis:
     def column(self) -> str:
         """Name of the column that users read: that of the parameter, or of the number that it follows from."""
         own = self.path is None or self.times is not None or (self.relative is not None and self.values is not None)
-        return f"axis.{self.name}" if own else str(self.target)
+        return f"axis.{self.name}" if own else str(self.parameter_column)
 
-    def nominal_number(self, nominal_of: Callable[[str], Any]) -> Any:
+    def nominal_value(self, nominal_of: Callable[[str], Any]) -> Any:
         """Return the value at which the auxiliary number of this axis gives the parameter its nominal value.
 
         Args:
@@ -121,7 +121,7 @@ def refuse_ignored_settings(study: Mapping[str, Any]) -> None:
             )
 
 
-def rename_on_to_side(axes: Mapping[str, Any]) -> dict[str, Any]:
+def rename_legacy_side_keys(axes: Mapping[str, Any]) -> dict[str, Any]:
     """Rename the key `on` of axes in older files to `side` (world or belief). Raises `InputError` if both are there."""
 
     def renamed(name: str, axis: Mapping[Any, Any]) -> dict[Any, Any]:
@@ -132,7 +132,7 @@ def rename_on_to_side(axes: Mapping[str, Any]) -> dict[str, Any]:
     return {name: renamed(name, axis) if isinstance(axis, Mapping) else axis for name, axis in axes.items()}
 
 
-def expand_patterns(axes_config: Mapping[str, Any], paths_below: Callable[[str], Sequence[str]]) -> dict[str, Any]:
+def expand_axis_patterns(axes_config: Mapping[str, Any], paths_below: Callable[[str], Sequence[str]]) -> dict[str, Any]:
     """Expand axes whose path ends in `.*`, such as `plan.off.*`, into one axis for each number below it.
 
     Args:
@@ -161,8 +161,8 @@ def expand_patterns(axes_config: Mapping[str, Any], paths_below: Callable[[str],
 
 def parse_axes(axes_config: Mapping[str, Any]) -> tuple[Axis, ...]:
     """Parse the axes (varied parameters) of a study from plain configuration values. Raises `InputError`."""
-    axes = tuple(_axis(f"study.axes.{name}", name, axis) for name, axis in rename_on_to_side(axes_config).items())
-    columns = [a.target for a in axes if a.target]
+    axes = tuple(_axis(f"study.axes.{name}", name, axis) for name, axis in rename_legacy_side_keys(axes_config).items())
+    columns = [a.parameter_column for a in axes if a.parameter_column]
     if len(set(columns)) < len(columns):
         raise InputError(f"study.axes vary the same parameter twice: {', '.join(columns)}")
     by_name, used = {a.name: a for a in axes}, {a.relative for a in axes}
@@ -197,14 +197,18 @@ def parse_design(values: Mapping[str, Any], axes: tuple[Axis, ...]) -> Design:
     """
     fields = {member.name: member for member in dataclasses.fields(design_kinds.make_schema())}
     values = require_known_keys("study.design", values, tuple(fields))
-    values = {key: check_value(fields[key], value, f"study.design.{key}") for key, value in values.items()}
+    values = {key: convert_and_check_value(fields[key], value, f"study.design.{key}") for key, value in values.items()}
     drawn = list(drawn_axis_names(axes))
     values["correlation"] = _correlation("study.design.correlation", values.get("correlation") or [], drawn)
     kind = design_kinds.find_kind(values.get("kind", design_kinds.DEFAULT_KIND))
     require_choice(grid := values.get("grid", kind.grid), GRIDS, f"study.design.grid = {grid!r}")
     own = {member.name: member for member in dataclasses.fields(kind)}
     design = kind(
-        **{key: check_value(own[key], value, f"study.design.{key}") for key, value in values.items() if key in own}
+        **{
+            key: convert_and_check_value(own[key], value, f"study.design.{key}")
+            for key, value in values.items()
+            if key in own
+        }
     )
     design.check(drawn, [a.name for a in axes if a.values is not None])
     return design
@@ -223,7 +227,7 @@ def _correlation(key: str, pairs_config: Any, drawn: list[str]) -> tuple[tuple[s
             raise InputError(f"{key} = {pair!r} is not allowed: two drawn axes and a number, such as [a, b, 0.7]")
         for name in pair[:2]:
             if name not in drawn:
-                raise InputError(f"{key}: {name} is not a drawn axis{suggest(str(name), drawn)}")
+                raise InputError(f"{key}: {name} is not a drawn axis{format_name_suggestion(str(name), drawn)}")
         if not -1 < (share := parse_number(key, pair[2])) < 1:
             raise InputError(f"{key} = {share:g} is not allowed: between -1 and 1")
         pairs.append((str(pair[0]), str(pair[1]), share))
@@ -274,7 +278,7 @@ def _values(key: str, axis_config: Mapping[str, Any]) -> tuple[Any, ...] | None:
     """Return listed values, or those of a range; None where the axis is drawn."""
     values = axis_config.get("values")
     if values is not None:  # which win over a range, so that a command line can replace a study's range
-        return tuple(parse_values(f"{key}.values", values))
+        return tuple(parse_value_list(f"{key}.values", values))
     ends = [axis_config.get("from"), axis_config.get("to"), axis_config.get("num")]
     if ends == [None] * 3:
         if axis_config.get("distribution") is None and axis_config.get("relative") is None:
@@ -323,7 +327,7 @@ def make_design_table(
 
     listed, drawn = [a for a in axes if a.values is not None], [a for a in axes if a.distribution]
     if grid is None:
-        grid = _one_at_a_time(listed, nominal_of) if listed and design.varies_axes_alone else _grid(listed)
+        grid = _one_at_a_time(listed, nominal_of) if listed and design.is_one_at_a_time else _grid(listed)
     shares = draw_quantiles(axes, design, seed) if round_ is None else _spread(round_.quantiles, drawn, design)
     size, count = len(grid), max(len(shares), 1)
     numbers = grid.take(np.repeat(np.arange(size), count)).reset_index(drop=True)
@@ -350,7 +354,7 @@ def count_points(axes: tuple[Axis, ...], design: Design) -> int:
     """
     lengths = [len(a.values) for a in axes if a.values is not None and a.along is None]
     draws = design.count_draws(len(drawn_axis_names(axes)))
-    return (sum(lengths) if design.varies_axes_alone else math.prod(lengths)) * max(draws, 1)
+    return (sum(lengths) if design.is_one_at_a_time else math.prod(lengths)) * max(draws, 1)
 
 
 def _grid(axes: list[Axis]) -> "pd.DataFrame":
@@ -369,7 +373,7 @@ def _one_at_a_time(axes: list[Axis], nominal_of: Callable[[str], Any]) -> "pd.Da
     """Return the values of one axis after the other, with all other axes at their nominal numbers."""
     import pandas as pd
 
-    centre = {a.name: a.nominal_number(nominal_of) for a in axes}
+    centre = {a.name: a.nominal_value(nominal_of) for a in axes}
     arms = [_grid([a for a in axes if leader.name in (a.name, a.along)]) for leader in axes if leader.along is None]
     whole = [pd.DataFrame({name: arm.get(name, n) for name, n in centre.items()}, index=arm.index) for arm in arms]
     return pd.concat(whole).drop_duplicates()  # the arms cross
@@ -403,13 +407,15 @@ def _spread(shares: np.ndarray, axes: list[Axis], design: Design) -> np.ndarray:
     """Give independent quantiles the correlations of the design (a Gaussian copula)."""
     shares = np.clip(shares, adaptive_sampling.MIN_QUANTILE, 1 - adaptive_sampling.MIN_QUANTILE)
     if design.correlation:
-        return design.correlate(shares, np.linalg.cholesky(_matrix(design.correlation, [a.name for a in axes])))
+        return design.correlate_quantiles(
+            shares, np.linalg.cholesky(_matrix(design.correlation, [a.name for a in axes]))
+        )
     return shares
 
 
 def _columns(axes: tuple[Axis, ...], numbers: "pd.DataFrame", nominal_of: Callable[[str], Any]) -> dict[str, Any]:
     """Compute the columns of the points table from the axes' numbers, by name."""
-    by_target = {a.target: a for a in axes if a.target}
+    by_target = {a.parameter_column: a for a in axes if a.parameter_column}
 
     def value(axis: Axis, above: tuple[str, ...] = ()) -> Any:
         n = numbers[axis.name]
@@ -432,10 +438,10 @@ def _columns(axes: tuple[Axis, ...], numbers: "pd.DataFrame", nominal_of: Callab
 
     columns: dict[str, Any] = {}
     for axis in axes:
-        if axis.column != axis.target:
+        if axis.column != axis.parameter_column:
             columns[axis.column] = numbers[axis.name]
-        if axis.target:
-            columns[axis.target] = value(axis)
+        if axis.parameter_column:
+            columns[axis.parameter_column] = value(axis)
     return columns
 
 

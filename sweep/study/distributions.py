@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sweep.core.errors import InputError, require_choice, suggest
+from sweep.core.errors import InputError, format_name_suggestion, require_choice
 from sweep.study.columns import SPREADSHEET_FORMULA_SIGNS
 
 # what each distribution needs, and what it may have besides
@@ -81,14 +81,16 @@ def parse_distribution(key: str, config: Any) -> Distribution:
     if kind not in DISTRIBUTIONS:
         if find_scipy_distribution(kind) is not None:
             return _distribution_of_scipy(key, kind, config)
-        raise InputError(f"{key}.kind = {kind!r} is unknown{suggest(kind, (*DISTRIBUTIONS, 'any of scipy.stats'))}")
+        raise InputError(
+            f"{key}.kind = {kind!r} is unknown{format_name_suggestion(kind, (*DISTRIBUTIONS, 'any of scipy.stats'))}"
+        )
     needed, optional = DISTRIBUTIONS[kind]
     config = require_known_keys(key, config, ("kind", *needed, *optional))
     for name in needed:
         if name not in config:
             raise InputError(f"{key}.{name} is missing: {kind} needs {' and '.join(needed)}")
     if kind == "discrete":
-        values, weights = parse_values(f"{key}.values", config["values"]), config.get("weights", [1])
+        values, weights = parse_value_list(f"{key}.values", config["values"]), config.get("weights", [1])
         if "weights" in config and (not isinstance(weights, list) or len(weights) != len(values)):
             raise InputError(f"{key}.weights = {weights!r} is not allowed: a number for each of {len(values)} values")
         if min(parse_number(f"{key}.weights", w) for w in weights) < 0 or not sum(weights):
@@ -146,7 +148,7 @@ def require_known_keys(path: str, mapping: Any, allowed: tuple[str, ...]) -> dic
     return {str(k): v for k, v in mapping.items()}
 
 
-def parse_values(key: str, values: Any) -> list[Any]:
+def parse_value_list(key: str, values: Any) -> list[Any]:
     """Check that a value is a list of numbers or of names, and return it.
 
     Args:

@@ -181,7 +181,7 @@ def fit_mixture(u: Float[np.ndarray, "n d"], weight: Float[np.ndarray, " n"]) ->
     )
 
 
-def assign_modes(mixture: Mixture) -> Int[np.ndarray, " k"]:
+def assign_components_to_modes(mixture: Mixture) -> Int[np.ndarray, " k"]:
     """Return the failure mode of each mixture component; two share a mode if the density has no dip between them.
 
     Args:

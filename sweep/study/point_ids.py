@@ -16,12 +16,12 @@ MOST_POWER = 300  # of ten; the smallest numbers are scaled by two powers
 _POWERS = 10.0 ** np.arange(-MOST_POWER, MOST_POWER + 1)
 
 
-def replicate_streams(seed: int, replicates: int) -> np.ndarray:
+def replicate_noise_seeds(seed: int, replicates: int) -> np.ndarray:
     """Return the numbers (replicates,) of the replicates' random noise streams; adding replicates changes no other."""
     return (np.random.SeedSequence(seed).generate_state(replicates, np.uint64) >> np.uint64(1)).astype(np.int64)
 
 
-def row_streams(seed: int, table: "pd.DataFrame") -> np.ndarray:
+def row_noise_seeds(seed: int, table: "pd.DataFrame") -> np.ndarray:
     """Return the number (n,) of each row's random noise stream, hashed from its values and replicate number.
 
     Args:

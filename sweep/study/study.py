@@ -20,7 +20,7 @@ from sweep.contract.system import ColumnValues, Parameter, System
 from sweep.core.distinct_values import are_all_different
 from sweep.core.errors import InputError, require_choice
 from sweep.core.expressions import AXIS_NAMES_KEY, condition_mask
-from sweep.core.parameters import WHOLE_NUMBER_UNITS, check_value, count, is_within_bounds
+from sweep.core.parameters import WHOLE_NUMBER_UNITS, convert_and_check_value, count, is_within_bounds
 from sweep.study import design_kinds, designs
 from sweep.study.adaptive_sampling import RoundDraws
 from sweep.study.analytic_limits import AnalyticParameterLimit
@@ -29,7 +29,7 @@ from sweep.study.columns import LABEL_COLUMNS, PLACEMENT_COLUMNS, TIMING_COLUMNS
 from sweep.study.design_kinds.base import AdaptiveDesign, Design, DrawContext
 from sweep.study.designs import Axis
 from sweep.study.distributions import require_known_keys
-from sweep.study.point_ids import HASHED_DIGITS, point_hashes, point_ids, replicate_streams, row_streams
+from sweep.study.point_ids import HASHED_DIGITS, point_hashes, point_ids, replicate_noise_seeds, row_noise_seeds
 from sweep.study.size_limits import MAX_STUDY_ROLLOUTS
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ Logger = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Expectation:
+class RateExpectation:
     """A bound on the share of rows that meet the condition `that`, among valid rows that meet `where`."""
 
     where: str | None = None  # condition on columns: the rows that are counted
@@ -95,7 +95,7 @@ class Study(_PlainSettings):
     single: bool  # one nominal rollout, shown rather than stored
     axes: tuple[Axis, ...]
     design: Design  # of the axes that have a distribution
-    expect: tuple[Expectation, ...]
+    expect: tuple[RateExpectation, ...]
     theory: tuple[AnalyticParameterLimit, ...]  # drawn over its maps
     keep: tuple[str, ...]  # columns whose time histories are kept, see `System.recorded`
 
@@ -110,7 +110,7 @@ class Study(_PlainSettings):
         return isinstance(self.design, AdaptiveDesign) and self.design.num > 0
 
     @property
-    def search_design(self) -> AdaptiveDesign:
+    def adaptive_design(self) -> AdaptiveDesign:
         """The adaptive design of the study. Raises `TypeError` for other designs."""
         if not isinstance(self.design, AdaptiveDesign):
             raise TypeError(f"{self.design.kind} is no adaptive design")
@@ -151,7 +151,7 @@ class Study(_PlainSettings):
             InputError: A value is not allowed.
         """
         for member in dataclasses.fields(_PlainSettings):
-            check_value(member, values[member.name], f"study.{member.name}")
+            convert_and_check_value(member, values[member.name], f"study.{member.name}")
         if values["seed"] < 0:
             raise InputError(f"study.seed = {values['seed']} is not allowed: at least 0")
         if not 0 < values["level"] < 1:
@@ -181,7 +181,7 @@ class Study(_PlainSettings):
         return cls(**{**values, **told})
 
 
-def _expectation(key: str, values: Any) -> Expectation:
+def _expectation(key: str, values: Any) -> RateExpectation:
     values = require_known_keys(key, values, ("where", "that", "at_least", "at_most"))
     for limit in ("at_least", "at_most"):
         value = values.get(limit, 0)
@@ -190,7 +190,7 @@ def _expectation(key: str, values: Any) -> Expectation:
     for condition in ("where", "that"):
         if not isinstance(values.get(condition, ""), str | None):
             raise InputError(f"{key}.{condition} = {values[condition]!r} is not allowed: a condition in quotes")
-    one = Expectation(**values)
+    one = RateExpectation(**values)
     if one.at_least > one.at_most:
         raise InputError(f"{key}.at_least = {one.at_least:g} is not allowed: at most its at_most, {one.at_most:g}")
     return one
@@ -211,7 +211,7 @@ def unit_of_column(column: str, system: System, settings: EngineSettings) -> str
     return "" if found == "-" else found
 
 
-def needs_other_engine(column: str, system: System, settings: EngineSettings) -> bool:
+def needs_recompilation(column: str, system: System, settings: EngineSettings) -> bool:
     """Return whether another value of a column needs another compiled engine.
 
     Args:
@@ -225,7 +225,7 @@ def needs_other_engine(column: str, system: System, settings: EngineSettings) ->
     return column.startswith("engine.") or system.parameter(column, settings).metadata["role"] != "quantity"
 
 
-def name_axes(rows: "pd.DataFrame", axes: Iterable[Axis]) -> "pd.DataFrame":
+def attach_axis_names(rows: "pd.DataFrame", axes: Iterable[Axis]) -> "pd.DataFrame":
     """Return the rows with the names of the study's axes attached, so that conditions can use them as columns.
 
     Args:
@@ -245,7 +245,7 @@ def parameter_columns(table: "pd.DataFrame") -> list[str]:
     return [c for c in table.columns if "." in c and not c.startswith("axis.")]
 
 
-def expand_keep(study: Study, system: System) -> tuple[str, ...]:
+def expand_kept_time_series(study: Study, system: System) -> tuple[str, ...]:
     """Return the time-series columns that `study.keep` names; a prefix such as `qpos` stands for all columns that begin
     with it.
 
@@ -260,7 +260,7 @@ def expand_keep(study: Study, system: System) -> tuple[str, ...]:
     return tuple(found)
 
 
-def check_keep(study: Study, system: System, settings: EngineSettings) -> None:
+def check_kept_time_series(study: Study, system: System, settings: EngineSettings) -> None:
     """Raise `InputError` unless the time-series columns in `study.keep` exist and their rate is allowed.
 
     Args:
@@ -303,7 +303,7 @@ def validate_expectations(study: Study, system: System, points: "pd.DataFrame | 
     for i, one in enumerate(study.expect):
         for key, condition in (("where", one.where), ("that", one.that)):
             try:
-                condition_mask(name_axes(rows, study.axes), condition)
+                condition_mask(attach_axis_names(rows, study.axes), condition)
             except InputError as error:
                 source = "scenario" if study.single else "study"
                 raise InputError(f"{source}.expect.{i}.{key}: {error}") from None
@@ -348,17 +348,17 @@ def make_points(
         told = partial(system.nominal, settings=settings)
         if study.is_adaptive and round_ is None:
             _check_ends(study, system, settings)
-            round_ = next(study.search_design.start_search(study.draw_context))
+            round_ = next(study.adaptive_design.start_search(study.draw_context))
         design = designs.make_design_table(study.axes, study.design, study.seed, told, grid, round_)
     draw = design.pop("draw") if not study.points else 0
     fields = {c: system.parameter(c, settings) for c in design.columns if not c.startswith("axis.")}
-    drawn = [str(axis.target) for axis in study.axes if axis.distribution and axis.path and not study.points]
+    drawn = [str(axis.parameter_column) for axis in study.axes if axis.distribution and axis.path and not study.points]
     listed = design.columns.difference(drawn) if grid is None else ()  # not those between listed ones
     for column, member in fields.items():
         try:
             _check_values(member, design[column], column, exact=column in listed)
         except InputError as error:
-            axis = next((axis for axis in study.axes if axis.target == column and axis.distribution), None)
+            axis = next((axis for axis in study.axes if axis.parameter_column == column and axis.distribution), None)
             if axis is None or study.points:
                 raise
             raise InputError(
@@ -371,11 +371,11 @@ def make_points(
         design = design.copy()
     system.check(design, settings)
     # static axes outermost: every compiled engine runs its rows in one go
-    static = [column for column in fields if needs_other_engine(column, system, settings)]
+    static = [column for column in fields if needs_recompilation(column, system, settings)]
     order = design.groupby(static, sort=False).ngroup().argsort(kind="stable") if static else slice(None)
     design = design.assign(draw=draw).iloc[order]
     if study.where:
-        design = design.loc[condition_mask(name_axes(design, study.axes), study.where)]
+        design = design.loc[condition_mask(attach_axis_names(design, study.axes), study.where)]
     table = design.loc[design.index.repeat(study.replicates)] if study.replicates > 1 else design
     table = table.reset_index(drop=True)
     again = np.tile(np.arange(study.replicates), len(design))
@@ -385,15 +385,15 @@ def make_points(
     if not with_ids and (drawn_alone or are_all_different(point_hashes(table, system))):
         return table
     if study.points:
-        table["stream"] = row_streams(study.seed, table)
+        table["stream"] = row_noise_seeds(study.seed, table)
     else:
-        table["stream"] = replicate_streams(study.seed, int(table["replicate"].to_numpy().max(initial=0)) + 1)[
+        table["stream"] = replicate_noise_seeds(study.seed, int(table["replicate"].to_numpy().max(initial=0)) + 1)[
             table["replicate"]
         ]
     table["point_id"] = point_ids(hashes := point_hashes(table, system))
     if are_all_different(hashes):  # told in a tenth of the memory that comparing words takes
         return table
-    distinct = table.drop_duplicates(identity_columns(table.columns), ignore_index=True)
+    distinct = table.drop_duplicates(rollout_id_columns(table.columns), ignore_index=True)
     if on_message and len(distinct) < len(table):
         on_message(
             f"{len(table) - len(distinct)} of {len(table)} rollouts are left out: "
@@ -414,7 +414,7 @@ def _check_values(member: Parameter, values: "pd.Series", column: str, exact: bo
         no_number = values[pd.to_numeric(values, errors="coerce").isna()]
         values = (no_number if len(no_number) else values).head(1)
     for value in values.unique().tolist():
-        check_value(member, value, column)
+        convert_and_check_value(member, value, column)
 
 
 def extreme_points(study: Study, system: System, settings: EngineSettings) -> "pd.DataFrame":
@@ -444,7 +444,7 @@ def _check_ends(study: Study, system: System, settings: EngineSettings) -> None:
             raise InputError(f"{error}; rare draws reach this value: give the distribution `from` and `to`") from None
 
 
-def identity_columns(columns: Any) -> list[str]:
+def rollout_id_columns(columns: Any) -> list[str]:
     """List the columns that identify a rollout of a study: `point_id`, and the varied engine settings."""
     return ["point_id", *(c for c in columns if c.startswith("engine."))]
 

@@ -30,11 +30,11 @@ class LevelRows(NamedTuple):
     failed: Bool[np.ndarray, " n"]
     lead: Float[np.ndarray, " n"]  # -inf where failed
 
-    def select(self, which: np.ndarray) -> "LevelRows":
+    def select_rows(self, which: np.ndarray) -> "LevelRows":
         """Return the rows at some indices or where a mask holds."""
         return LevelRows(*(part[which] for part in self))
 
-    def combine_where(self, which: np.ndarray, others: "LevelRows") -> "LevelRows":
+    def merge_rows_by_mask(self, which: np.ndarray, others: "LevelRows") -> "LevelRows":
         """Return these rows where the mask `which` (n,) holds, and `others` elsewhere."""
         u = np.where(which[:, None], self.points, others.points)
         return LevelRows(u, *(np.where(which, a, b) for a, b in zip(self[1:], others[1:], strict=True)))
@@ -102,7 +102,7 @@ def start_search(d: int, settings: LevelSettings, runs: int, seed: int) -> Searc
         ends, answers = np.cumsum(sizes), {}
         for (number, _), end, size in zip(asked.items(), ends, sizes, strict=True):
             try:
-                answers[number] = going[number].send(found.select(slice(end - size, end)))
+                answers[number] = going[number].send(found.select_draws(slice(end - size, end)))
             except StopIteration as stop:
                 ended[number] = stop.value
         asked = answers
@@ -142,7 +142,7 @@ def _run(d: int, settings: LevelSettings, seed: int, run: int) -> Generator[Roun
         p *= float(inside.mean())
         bounds.append(bound)
         seeds = rng.permutation(np.flatnonzero(inside))
-        here = level.select(np.resize(seeds, settings.chain_count))
+        here = level.select_rows(np.resize(seeds, settings.chain_count))
         states, taken = [here], []
         for step in range(1, settings.steps_per_chain + 1):
             apart = rng.standard_normal(here.points.shape)
@@ -151,7 +151,7 @@ def _run(d: int, settings: LevelSettings, seed: int, run: int) -> Generator[Roun
             there = _level(u, asked, (yield asked))
             rollouts += len(u)
             stays = there.lead <= bound
-            here = there.combine_where(stays, here)
+            here = there.merge_rows_by_mask(stays, here)
             states.append(here)
             taken.append(float(stays.mean()))
             width *= np.exp((taken[-1] - TARGET_ACCEPTANCE) / np.sqrt(step))

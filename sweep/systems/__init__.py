@@ -25,7 +25,7 @@ class SystemKind(NamedTuple):
     optional_keys: tuple[str, ...] = ()  # the keys that may be left out
     open_keys: tuple[str, ...] = ()  # the keys whose parts only the system knows
 
-    def build_nominal(self, values: Mapping[str, Any], kinds: ClassesByKind) -> SystemSetup:
+    def build_nominal_system(self, values: Mapping[str, Any], kinds: ClassesByKind) -> SystemSetup:
         """Build the hexapod or the MuJoCo model, at nominal parameters, from a plain configuration.
 
         Args:
@@ -42,7 +42,7 @@ class SystemKind(NamedTuple):
             from sweep.systems import mujoco_model as system  # which is not loaded for another
         else:
             from sweep.systems import hexapod as system
-        return system.build_nominal(values, kinds)
+        return system.build_nominal_system(values, kinds)
 
 
 OPTIONAL = ("controller", "noise", "push", "start", "payload", "motor", "schedule")  # of a user's model
@@ -65,7 +65,7 @@ def find_kind_by_name(name: str) -> SystemKind:
     return SYSTEMS[name]
 
 
-def find_kind_by_keys(values: Mapping[str, Any]) -> SystemKind:
+def find_kind_by_config_keys(values: Mapping[str, Any]) -> SystemKind:
     """Return the kind of system (hexapod or MuJoCo model) to which the keys of a plain configuration belong."""
     return next((kind for kind in SYSTEMS.values() if kind.keys[0] in values), SYSTEMS[DEFAULT_SYSTEM])
 

@@ -32,9 +32,9 @@ def block_in_child(*_, **__):
 
 """
 COMPILERS = {
-    "llvm": "import sweep.fused.llvm; sweep.fused.llvm.compile_text = block",
+    "llvm": "import sweep.fused.llvm; sweep.fused.llvm.compile_llvm_assembly = block",
     "xla": "import jax; jax.stages.Lowered.compile = block",
-    "child": "import sweep.fused.llvm; sweep.fused.llvm.compile_text = block_in_child",
+    "child": "import sweep.fused.llvm; sweep.fused.llvm.compile_llvm_assembly = block_in_child",
 }
 RUN = ["run", "scenario=walk_tripod", "manoeuvre.steps=1", "+study.axes={m:{path:robot.body_mass,values:[14,15]}}"]
 

@@ -28,7 +28,7 @@ def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("out")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sweep.engines, "make_engine", FakeEngine)
-        batches.forget_engine()
+        batches.clear_engine_cache()
         assert main(["run", *STUDY, f"out={path}"]) == 0
     return path
 

@@ -25,12 +25,12 @@ def test_the_remaining_time_is_known_after_the_first_batch_and_counts_down(clock
     with progress.time_compilation():
         clock[0] += 60.0
     clock[0] += 30.0
-    pace.add_finished(10)
+    pace.add_finished_rollouts(10)
     assert pace.remaining_s() == pytest.approx(90.0)  # 3 s a rollout: the minute of compiling does not count
     clock[0] += 1.0
     assert pace.remaining_text() == "1:29 left"
     clock[0] += 9.0
-    pace.add_finished(10)  # the next batch took a third of the time
+    pace.add_finished_rollouts(10)  # the next batch took a third of the time
     assert pace.remaining_s() == pytest.approx(20.0)
     clock[0] += 50.0
     assert pace.remaining_s() == 0.0

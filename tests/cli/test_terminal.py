@@ -13,7 +13,7 @@ import pytest
 from sweep.cli.commands import make_parser, shipped_command_names
 from sweep.cli.main import main
 from sweep.config import reference
-from sweep.core.terminal import HIDDEN_COLUMNS_HINT, fit_to_width
+from sweep.core.terminal import HIDDEN_COLUMNS_HINT, fit_markdown_to_width
 from sweep.report.tables import markdown_table
 
 WIDTH = 80
@@ -26,7 +26,7 @@ def words(text: str) -> set[str]:
 @pytest.mark.parametrize("width", [80, 60])
 def test_the_reference_breaks_between_words(width):
     whole = reference.parameters_page()
-    shown = fit_to_width(whole, width)
+    shown = fit_markdown_to_width(whole, width)
     assert max(map(len, shown.splitlines())) <= width
     assert words(shown) - words(whole) <= words(
         f"Not shown for lack of width: default unit allowed{HIDDEN_COLUMNS_HINT}."
@@ -36,7 +36,7 @@ def test_the_reference_breaks_between_words(width):
 def test_columns_that_are_left_out_are_named_and_the_kept_ones_stay():
     wide = {f"a parameter with a name {k}": ["some-value-without-a-gap"] for k in range(6)}
     rows = markdown_table(pd.DataFrame({**wide, "outcome": ["success"]}))
-    shown = fit_to_width(rows, WIDTH, ["outcome"], "look elsewhere")
+    shown = fit_markdown_to_width(rows, WIDTH, ["outcome"], "look elsewhere")
     assert max(map(len, shown.splitlines())) <= WIDTH
     assert "success" in shown
     assert shown.count("some-value-without-a-gap") == 2
@@ -51,7 +51,7 @@ def test_counts_shares_and_units_are_told_in_one_way():
         "20.0 %",
         "",
     ]
-    assert "| N·m/rad " in reference.describe_name("drive")
+    assert "| N·m/rad " in reference.describe_parameter_or_column("drive")
     assert "N*m" not in reference.parameters_page()
 
 

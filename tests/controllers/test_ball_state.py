@@ -15,9 +15,9 @@ from sweep.controllers.ball_state import (
     centre_of_mass,
     mass_centre_jacobian,
     rotate_footholds_backward,
-    swing_over_ball,
+    swing_foot_arc,
 )
-from sweep.controllers.frames import stance_to_frame, stance_to_world, to_frame, to_world
+from sweep.controllers.frames import points_to_frame, points_to_world, stance_to_frame, stance_to_world
 from sweep.controllers.observation import Observation
 from sweep.core.rotations import exponential, multiply, rotate
 from sweep.engines.closed_loop import free_body_state, start_state
@@ -26,7 +26,7 @@ from sweep.manoeuvres.balancing.ball import stance_on_ball, stand_pose
 from sweep.manoeuvres.balancing.ball_turn import BallTurn
 from sweep.models import scene
 from sweep.models.frames import WORLD_FRAME, body_frame_number, koenig_frame_number
-from sweep.models.obstacles.surface import FreeState
+from sweep.models.obstacles.surface import FreeBodyState
 from sweep.models.posture import Stance
 
 CASE = compose(["scenario=ball_balance"]).case
@@ -41,19 +41,19 @@ def perched():
 def test_frames_go_with_their_bodies():
     turn = exponential(jnp.array([[0.3, -0.2, 0.5], [0.1, 0.4, -0.3]]))
     still = jnp.zeros((2, 3))
-    free = FreeState(jnp.array([[1.0, 2.0, 0.8], [-3.0, 0.0, 0.5]]), turn, still, still)
+    free = FreeBodyState(jnp.array([[1.0, 2.0, 0.8], [-3.0, 0.0, 0.5]]), turn, still, still)
     point, frames = (
         jnp.array([0.1, -0.2, 0.7]),
         jnp.array(
             [WORLD_FRAME, koenig_frame_number(0), body_frame_number(0), koenig_frame_number(1), body_frame_number(1)]
         ),
     )
-    seen = to_world(jnp.stack([point] * 5), frames, free)
+    seen = points_to_world(jnp.stack([point] * 5), frames, free)
     np.testing.assert_allclose(seen[0], point, atol=1e-6)
     for k in range(2):
         np.testing.assert_allclose(seen[1 + 2 * k], point + free.position[k], atol=1e-6)
         np.testing.assert_allclose(seen[2 + 2 * k], rotate(turn[k], point) + free.position[k], atol=1e-6)
-    np.testing.assert_allclose(to_frame(seen, frames, free), jnp.stack([point] * 5), atol=1e-6)
+    np.testing.assert_allclose(points_to_frame(seen, frames, free), jnp.stack([point] * 5), atol=1e-6)
     quat = exponential(jnp.array([0.2, 0.1, 0.0]))
     for frame, wanted in ((koenig_frame_number(1), quat), (body_frame_number(1), multiply(turn[1], quat))):
         frames = jnp.full(6, WORLD_FRAME), jnp.asarray(frame)
@@ -92,7 +92,7 @@ def test_turned_footholds_roll_into_their_mirror_image():
 
 def test_swinging_feet_stay_above_the_ball():
     start, goal = (rotate_footholds_backward(ball_footholds(0.84, 0.5, 0.35), turn, AHEAD) for turn in (0.1, -0.1))
-    way = [swing_over_ball(start, goal, u, u, 0.0) for u in jnp.linspace(0, 1, 11)]
+    way = [swing_foot_arc(start, goal, u, u, 0.0) for u in jnp.linspace(0, 1, 11)]
     np.testing.assert_allclose(jnp.linalg.norm(jnp.stack(way), axis=-1), 0.84, atol=1e-6)
     np.testing.assert_allclose(way[-1], goal, atol=1e-6)
 

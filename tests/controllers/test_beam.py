@@ -7,11 +7,11 @@ import pytest
 
 from sweep.config.experiment import compose
 from sweep.controllers import flywheel, tracker
-from sweep.controllers.flywheel import Flywheel
+from sweep.controllers.flywheel import MiddleLegFlywheel
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import BALANCE, LEVELLING, LOCKED
 from sweep.core.rotations import rotate
-from sweep.models.obstacles.surface import no_free_bodies
+from sweep.models.obstacles.surface import empty_free_body_state
 from sweep.models.posture import foot_positions, joint_targets, mass_centre
 
 PERIOD = 4e-3
@@ -37,7 +37,15 @@ def followed(plan):
             state, stance, joints = carry
             zero, nothing = jnp.zeros(3), jnp.zeros((6, 3))
             seen = Observation(
-                stance.position, stance.quat, zero, zero, joints, nothing, nothing, jnp.ones(6, bool), no_free_bodies()
+                stance.position,
+                stance.quat,
+                zero,
+                zero,
+                joints,
+                nothing,
+                nothing,
+                jnp.ones(6, bool),
+                empty_free_body_state(),
             )
             state, command = tracker.step(CASE, plan, state, seen, PERIOD)
             return (state, command.target, command.joints), (state.stage, command)
@@ -69,7 +77,7 @@ def test_held_legs_reach_their_footholds(plan, followed):
 
 def test_diagonal_steps_balance_over_the_standing_feet(plan):
     """While a pair swings, the line of the other two passes below the base's centre."""
-    balancing = np.flatnonzero(np.asarray(plan.find_layer(Flywheel).mode) == BALANCE)
+    balancing = np.flatnonzero(np.asarray(plan.find_layer(MiddleLegFlywheel).mode) == BALANCE)
     assert len(balancing) == CASE.manoeuvre.steps + 1
     for stage in balancing:
         a, b = np.asarray(plan.foothold[stage])[~np.asarray(plan.swing[stage]) & ~np.isin(np.arange(6), MIDDLE), :2]
@@ -80,15 +88,15 @@ def test_diagonal_steps_balance_over_the_standing_feet(plan):
 def order(mode: int, **seen):
     """What the flywheel is told in a stage of `mode`, by a level robot at rest but for what is `seen`."""
     plan = PLAN
-    stage = int(np.flatnonzero(np.asarray(plan.find_layer(Flywheel).mode) == mode)[0])
+    stage = int(np.flatnonzero(np.asarray(plan.find_layer(MiddleLegFlywheel).mode) == mode)[0])
     joints = jnp.zeros((6, 3)).at[:, 1].set(jnp.pi / 2).at[3, 2].set(jnp.pi)
     level = plan.position[stage] - rotate(plan.quat[stage], mass_centre(CASE.robot, joints)) * jnp.array([1.0, 0, 0])
     zero, nothing = jnp.zeros(3), jnp.zeros((6, 3))
     truth = Observation(
-        level, plan.quat[stage], zero, zero, joints, nothing, nothing, jnp.ones(6, bool), no_free_bodies()
+        level, plan.quat[stage], zero, zero, joints, nothing, nothing, jnp.ones(6, bool), empty_free_body_state()
     )
     truth = truth._replace(**seen)
-    return jax.jit(plan.find_layer(Flywheel).servo_command, static_argnums=0)(
+    return jax.jit(plan.find_layer(MiddleLegFlywheel).servo_command, static_argnums=0)(
         CASE.robot, plan, jnp.int32(stage), truth
     ), truth
 

@@ -83,7 +83,7 @@ def test_the_way_over_the_edge_needs_no_more_friction_than_the_climb(case):
 def test_what_a_search_raises_a_formula_by_stays_raised():
     """Of the gallop's rise, which is made not a number where a house is too low."""
     case = compose(["scenario=corner_full"]).case
-    lower = replace(case, plan=case.plan.with_increment("sizes.rise", -0.02).with_increment("sizes.rise", -0.01))
+    lower = replace(case, plan=case.plan.increment_number("sizes.rise", -0.02).increment_number("sizes.rise", -0.01))
     ends = [{stage.name: stage.position for stage in one.manoeuvre.route_stages(one)[1]} for one in (case, lower)]
     off = ends[1]["gallop2.up"] - ends[0]["gallop2.up"]
     np.testing.assert_allclose(off, [0, 0, -0.03 * 0.75 * length_unit(case.robot)], atol=1e-6)  # after 1.5 of 2 cycles

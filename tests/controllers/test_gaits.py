@@ -4,10 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sweep.controllers.plan import CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE, swing_progress
+from sweep.controllers.plan import CYCLE_A, CYCLE_B, CYCLE_B_SMOOTH, HALF_ELLIPSE, swing_progress_and_lift
 from sweep.models.posture import Stance
 from sweep.planning.compile_plan import compile_plan
-from sweep.planning.gaits import GAITS, GaitStep, body_advance, initial_foot_offsets, regular_steps
+from sweep.planning.gaits import GAITS, GaitStep, body_advance_per_swing, initial_foot_offsets, regular_gait_stages
 
 STEP = GaitStep(0.105, 0.03, 1.2)
 CENTRES = jnp.asarray(np.random.default_rng(0).normal(size=(6, 3))).at[:, 2].set(0)
@@ -18,7 +18,7 @@ def plan_of(name, cycles=3):
     gait = GAITS[name]
     start = CENTRES + initial_foot_offsets(gait, STEP, FORWARD)
     stance = Stance(start, jnp.zeros(3), jnp.array([1.0, 0, 0, 0]))
-    stages = regular_steps(gait, STEP, stance, CENTRES, FORWARD, cycles * len(gait), 0.0)
+    stages = regular_gait_stages(gait, STEP, stance, CENTRES, FORWARD, cycles * len(gait), 0.0)
     return gait, compile_plan(stance, stages, 0.1)
 
 
@@ -46,7 +46,7 @@ def test_speed_is_v_o(name, k_prime):
     _, plan = plan_of(name)
     speed = float(plan.position[-1, 0] / plan.duration.sum())
     assert speed == pytest.approx(k_prime * STEP.half_swing_length / STEP.time, rel=1e-5)
-    assert body_advance(GAITS[name], STEP) == pytest.approx(k_prime * STEP.half_swing_length)
+    assert body_advance_per_swing(GAITS[name], STEP) == pytest.approx(k_prime * STEP.half_swing_length)
 
 
 @pytest.mark.parametrize("name", ["tripod", "gallop", "level_gallop"])
@@ -65,7 +65,7 @@ def test_feet_swing_from_minus_to_plus_x_star(name):
 @pytest.mark.parametrize("carry", [0.0, 0.5])
 def test_swings_start_and_end_on_the_ground(cycle, carry):
     share, height = zip(
-        *[swing_progress(jnp.int32(cycle), carry, jnp.asarray(u)) for u in (0.0, 0.5, 1.0)], strict=True
+        *[swing_progress_and_lift(jnp.int32(cycle), carry, jnp.asarray(u)) for u in (0.0, 0.5, 1.0)], strict=True
     )
     np.testing.assert_allclose(share, [0, 0.5, 1], atol=1e-6)
     np.testing.assert_allclose([height[0], height[2]], 0, atol=1e-6)

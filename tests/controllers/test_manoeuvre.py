@@ -5,7 +5,7 @@ import pytest
 from sweep.core.parameters import choice, parameters
 from sweep.manoeuvres import MANOEUVRES
 from sweep.manoeuvres.balancing.ball import BallDrive
-from sweep.models.case import Manoeuvre, complete_manoeuvre
+from sweep.models.case import Manoeuvre, complete_manoeuvre_class
 
 IN_STAGES = {"ball_climb", "ball_descend", "ball_ledges", "ball_over", "ball_to_ball", "raft_cross"}
 DRIVES = {"ball_drive", "ball_turn"}
@@ -38,6 +38,6 @@ def test_a_class_of_its_own_gets_the_fields_that_it_lacks():
         needs, goal, plan = BallDrive.needs, {}, BallDrive.plan
         init_memory, guide = BallDrive.init_memory, BallDrive.guide
 
-    complete_manoeuvre(Borrowed)
+    complete_manoeuvre_class(Borrowed)
     fields = "is_guided", "ends_stages", "drives_body", "observer", "default_plan_name"
     assert [getattr(Borrowed(), name) for name in fields] == [True, False, False, None, None]

@@ -9,13 +9,13 @@ import pytest
 
 from sweep.controllers.observation import Observation, init_sensors, observe
 from sweep.core.rotations import exponential, multiply
-from sweep.engines.closed_loop import classify_sensing
+from sweep.engines.closed_loop import required_sensing_mode
 from sweep.fused.trace import ArrayLayout, trace_program
 from sweep.models.noise import Noise
-from sweep.models.obstacles.surface import FreeState
+from sweep.models.obstacles.surface import FreeBodyState
 
 KEY = jax.random.key(3)
-FREE = FreeState(jnp.zeros((1, 3)), jnp.array([[1.0, 0, 0, 0]]), jnp.zeros((1, 3)), jnp.zeros((1, 3)))
+FREE = FreeBodyState(jnp.zeros((1, 3)), jnp.array([[1.0, 0, 0, 0]]), jnp.zeros((1, 3)), jnp.zeros((1, 3)))
 
 
 def truth(x: float) -> Observation:
@@ -34,7 +34,7 @@ def watch(noise: Noise, key=KEY, ticks: int = 8) -> list[Observation]:
 
 
 def test_off_means_exact():
-    assert classify_sensing(Noise()) == "exact"
+    assert required_sensing_mode(Noise()) == "exact"
     for k, seen in enumerate(watch(Noise()), start=1):
         for a, b in zip(jax.tree.leaves(seen), jax.tree.leaves(truth(k)), strict=True):
             np.testing.assert_allclose(a, b, atol=1e-9)
@@ -44,7 +44,7 @@ def test_off_means_exact():
 def test_delay_counts_ticks(delay):
     """Before anything else was seen, the start was; joint errors act in the drives and are not delayed."""
     noise = Noise(delay=float(delay), delay_buffer=4, joint_bias=0.1)
-    assert classify_sensing(noise) == "noisy"
+    assert required_sensing_mode(noise) == "noisy"
     seen = watch(noise)
     np.testing.assert_allclose([float(s.position[0]) for s in seen], np.maximum(np.arange(1, 9) - delay, 0))
     assert [int(s.loaded.sum()) for s in seen] == list(np.clip(np.arange(1, 9) - delay, 0, 6))
@@ -54,8 +54,8 @@ def test_delay_counts_ticks(delay):
 def test_late_sensors_without_errors_need_no_random_numbers():
     """What is measured is the same as by sensors whose errors are zero."""
     noise = Noise(delay=2.0, load_delay=1.0, body_delay=3.0, delay_buffer=3)
-    assert classify_sensing(noise) == "late"
-    assert classify_sensing(dataclasses.replace(noise, load_bias=np.zeros(3))) == "noisy"
+    assert required_sensing_mode(noise) == "late"
+    assert required_sensing_mode(dataclasses.replace(noise, load_bias=np.zeros(3))) == "noisy"
     late, zero = (init_sensors(noise, KEY, truth(0), has_errors) for has_errors in (False, True))
     for k in range(1, 9):
         late, one = observe(noise, late, truth(k), KEY, k - 1)
@@ -65,7 +65,7 @@ def test_late_sensors_without_errors_need_no_random_numbers():
 
 def test_an_offset_is_a_constant_error_that_is_given():
     noise = Noise(position_offset_y=0.02, orientation_offset_z=0.1, position_bias=0.0)
-    assert classify_sensing(noise) == "noisy"
+    assert required_sensing_mode(noise) == "noisy"
     for k, seen in enumerate(watch(noise), start=1):
         np.testing.assert_allclose(seen.position - truth(k).position, [0, 0.02, 0], atol=1e-6)
         turned = multiply(exponential(jnp.array([0.0, 0.0, 0.1])), truth(k).quat)

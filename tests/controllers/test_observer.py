@@ -4,17 +4,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sweep.controllers.observation import FreeBodyFilterState, filter_body_pose
+from sweep.controllers.observation import FreeBodyFilterState, update_free_body_filter
 from sweep.core.rotations import conjugate, exponential, logarithm, multiply
-from sweep.models.obstacles.surface import FreeState
+from sweep.models.obstacles.surface import FreeBodyState
 
 PERIOD, TIME = 0.004, 0.1  # s
 SPEED, TURN = jnp.array([[0.1, -0.2, 0.0]]), jnp.array([[0.0, 0.15, 0.1]])  # m/s, rad/s
 
 
-def rolling(k: jax.Array | int) -> FreeState:
+def rolling(k: jax.Array | int) -> FreeBodyState:
     """A body in steady motion at tick k."""
-    return FreeState(SPEED * PERIOD * k, exponential(TURN * PERIOD * k), jnp.asarray(SPEED), jnp.asarray(TURN))
+    return FreeBodyState(SPEED * PERIOD * k, exponential(TURN * PERIOD * k), jnp.asarray(SPEED), jnp.asarray(TURN))
 
 
 @jax.jit
@@ -24,7 +24,9 @@ def errors(start: FreeBodyFilterState, shaken: jax.Array) -> jax.Array:
     def tick(observer: FreeBodyFilterState, now: tuple) -> tuple[FreeBodyFilterState, jax.Array]:
         k, shake = now
         true = rolling(k)
-        observer = filter_body_pose(observer, true._replace(quat=multiply(exponential(shake), true.quat)), TIME, PERIOD)
+        observer = update_free_body_filter(
+            observer, true._replace(quat=multiply(exponential(shake), true.quat)), TIME, PERIOD
+        )
         turn = logarithm(multiply(observer.second.quat, conjugate(true.quat)))
         return observer, jnp.concatenate([observer.second.position - true.position, turn], axis=-1)[0]
 
@@ -32,7 +34,7 @@ def errors(start: FreeBodyFilterState, shaken: jax.Array) -> jax.Array:
 
 
 def test_no_time_takes_the_measured_poses():
-    seen = filter_body_pose(FreeBodyFilterState(rolling(0), rolling(0)), rolling(50), 0.0, PERIOD).second
+    seen = update_free_body_filter(FreeBodyFilterState(rolling(0), rolling(0)), rolling(50), 0.0, PERIOD).second
     np.testing.assert_allclose(seen.position, rolling(50).position, atol=1e-6)
     np.testing.assert_allclose(seen.quat, rolling(50).quat, atol=1e-6)
 
@@ -67,11 +69,11 @@ def test_rounding_does_not_turn_into_stretching():
     """
     leans = np.random.default_rng(0).uniform(1.25, 1.36, 64)
     quat, still = exponential(jnp.asarray(leans)[:, None] * jnp.array([-1.0, 0.0, 0.0])), jnp.zeros((64, 3))
-    rest = FreeState(still, quat, still, still)
+    rest = FreeBodyState(still, quat, still, still)
     shaken = jnp.asarray(1e-4 * np.random.default_rng(1).normal(size=(30_000, 64, 3)))  # rad/s
 
     def tick(observer: FreeBodyFilterState, turn: jax.Array) -> tuple[FreeBodyFilterState, None]:
-        return filter_body_pose(observer, rest._replace(turn=turn), TIME, PERIOD), None
+        return update_free_body_filter(observer, rest._replace(turn=turn), TIME, PERIOD), None
 
     seen = jax.jit(lambda start: jax.lax.scan(tick, start, shaken)[0])(FreeBodyFilterState(rest, rest)).second
     assert seen.quat.dtype == jnp.float32

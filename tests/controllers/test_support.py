@@ -22,12 +22,12 @@ from sweep.controllers.plan import (
     Stage,
     SupportMotion,
 )
-from sweep.controllers.reference_body_motion import ReferenceBodyMotion, reference_motion
+from sweep.controllers.reference_body_motion import FreeBodyReferenceMotion, free_body_reference_state
 from sweep.core.rotations import exponential, logarithm
 from sweep.manoeuvres.balancing.ball import stance_on_ball, stand_pose
 from sweep.models.case import Manoeuvre
 from sweep.models.frames import body_frame_number, koenig_frame_number
-from sweep.models.obstacles.surface import FreeState, free_start_state
+from sweep.models.obstacles.surface import FreeBodyState, free_start_state
 from sweep.models.posture import Stance, joint_targets
 from sweep.planning.compile_plan import compile_plan
 
@@ -39,7 +39,7 @@ def bodies(x, angle, speed, rate):
     """Two of them on the x axis, turned and turning about y."""
     place, turn = (jnp.zeros((2, 3)).at[:, k].set(jnp.asarray(v)) for k, v in ((0, x), (1, angle)))
     velocity, rates = (jnp.zeros((2, 3)).at[:, k].set(jnp.asarray(v)) for k, v in ((0, speed), (1, rate)))
-    return FreeState(place, exponential(turn), velocity, rates)
+    return FreeBodyState(place, exponential(turn), velocity, rates)
 
 
 START, NOW = bodies([0.0, 3.0], [0.0, 0.5], [0.2, -0.2], [0.4, 0.4]), bodies([0.3, 3.1], [0.2, 0.5], 0.1, [0.2, 0.0])
@@ -48,7 +48,7 @@ START, NOW = bodies([0.0, 3.0], [0.0, 0.5], [0.2, -0.2], [0.4, 0.4]), bodies([0.
 def moved(mode, clock, **goal):
     """Place along x and angle about y of both."""
     many = [jnp.stack([jnp.asarray(getattr(SupportMotion(mode, **goal), name))] * 2) for name in SupportMotion._fields]
-    free = reference_motion(SupportMotion(*many), START, NOW, jnp.asarray(clock), jnp.asarray(TIME))
+    free = free_body_reference_state(SupportMotion(*many), START, NOW, jnp.asarray(clock), jnp.asarray(TIME))
     return np.asarray(free.position[:, 0]), np.asarray(logarithm(free.quat)[:, 1]), free
 
 
@@ -67,7 +67,7 @@ def test_a_body_goes_over_to_a_velocity_from_where_it_is():
 def test_a_body_that_falls_for_a_moment_is_not_meant_to_sink():
     falls = START._replace(velocity=START.velocity.at[:, 2].set(-0.01))
     many = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(each) for each in x]), RESTS, RESTS)
-    ends = reference_motion(many, falls, NOW, jnp.asarray(TIME), jnp.asarray(TIME))
+    ends = free_body_reference_state(many, falls, NOW, jnp.asarray(TIME), jnp.asarray(TIME))
     np.testing.assert_array_equal(ends.position[:, 2], START.position[:, 2])
     np.testing.assert_array_equal(ends.velocity[:, 2], 0.0)
 
@@ -86,7 +86,7 @@ def test_a_body_goes_to_a_pose_follows_or_rolls_with_the_others():
 def test_a_body_that_is_kept_is_where_it_was_meant_to_be():
     np.testing.assert_allclose(moved(KEPT, TIME)[0], START.position[:, 0], atol=1e-6)
     one_kept = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(each) for each in x]), STAYS, RESTS)
-    _, free = ReferenceBodyMotion(jax.tree.map(lambda x: x[None], one_kept), afloat=False).on_stage_enter(
+    _, free = FreeBodyReferenceMotion(jax.tree.map(lambda x: x[None], one_kept), afloat=False).on_stage_enter(
         jnp.int32(0), START, START, NOW
     )
     np.testing.assert_allclose(free.position[:, 0], [START.position[0, 0], NOW.position[1, 0]], atol=1e-6)

@@ -10,7 +10,7 @@ import pytest
 
 from sweep.config.experiment import compose
 from sweep.controllers.frames import stance_to_world
-from sweep.controllers.layers import HeldLegs, Layer
+from sweep.controllers.layers import JointSpaceLegs, TrackerLayer
 from sweep.controllers.observation import FreeBodyFilterState, Observation
 from sweep.controllers.plan import reference_stance, stage_start_pose
 from sweep.controllers.tracker import init
@@ -19,7 +19,7 @@ from sweep.core.rotations import exponential, multiply
 from sweep.engines import closed_loop, make_engine
 from sweep.engines.pre_rollout import measure_body_positions, prepare_belief
 from sweep.estimation import touch
-from sweep.estimation.belief_update import LearnedState, replan_rest, update_from_touch
+from sweep.estimation.belief_update import LearnedState, replan_remaining_stages, update_belief_from_touch
 from sweep.estimation.calibration import CalibrationResult
 from sweep.estimation.touch import TouchState
 from sweep.models.frames import WORLD_FRAME
@@ -29,10 +29,10 @@ from sweep.models.obstacles.kerb import Kerb
 from sweep.models.obstacles.ladder import Ladder
 from sweep.models.obstacles.pole_ledge import PoleLedge
 from sweep.models.obstacles.surface import (
+    empty_free_body_state,
     free_start_state,
     landmark_state,
     landmarks,
-    no_free_bodies,
     state_from_landmarks,
 )
 from sweep.models.posture import Stance, joint_targets
@@ -51,7 +51,7 @@ def seen(stance: Stance, loaded=True) -> Observation:
     angles, _ = joint_targets(CASE.robot, stance)
     still = jnp.zeros(3)
     return Observation(stance.position, stance.quat, still, still, angles, 0 * angles, 0 * angles,
-                       jnp.full(6, loaded), no_free_bodies())  # fmt: skip
+                       jnp.full(6, loaded), empty_free_body_state())  # fmt: skip
 
 
 def on_pole(radius: float) -> tuple[int, Stance]:
@@ -59,7 +59,7 @@ def on_pole(radius: float) -> tuple[int, Stance]:
     plan = planned()
     stage = plan.names.index("up.middle")
     stance = reference_stance(
-        plan, jnp.int32(stage), jnp.ones(()), *stage_start_pose(plan, jnp.int32(stage), no_free_bodies())
+        plan, jnp.int32(stage), jnp.ones(()), *stage_start_pose(plan, jnp.int32(stage), empty_free_body_state())
     )
     feet = stance.feet.at[:, :2].multiply(radius / jnp.linalg.norm(stance.feet[:, :2], axis=1)[:, None])
     return stage, stance._replace(feet=feet)
@@ -68,10 +68,12 @@ def on_pole(radius: float) -> tuple[int, Stance]:
 def walk_on(stage: int, stance: Stance, ticks: int, loaded=True, noise=CASE.noise):
     """What is known, and the footholds told, after `ticks` in which no foot had been felt before."""
     plan, state = planned(), untouched()._replace(has_landed=jnp.zeros(6, bool))
-    ground = touch.planned_surface(untouched(), plan, jnp.int32(stage))
+    ground = touch.planned_foothold_surface(untouched(), plan, jnp.int32(stage))
     now = seen(stance, loaded)
     tracked = init(CASE, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
-    step = jax.jit(lambda s, t: touch.touch_tick(CASE.control, noise, CASE.robot, plan, ground, t, s, now, PERIOD))
+    step = jax.jit(
+        lambda s, t: touch.update_touch_estimate(CASE.control, noise, CASE.robot, plan, ground, t, s, now, PERIOD)
+    )
     for _ in range(ticks):
         state, moves, _ = step(state, tracked)
         from_where = jnp.where(plan.swing[stage][:, None], plan.foothold[stage], tracked.feet)
@@ -80,7 +82,7 @@ def walk_on(stage: int, stance: Stance, ticks: int, loaded=True, noise=CASE.nois
 
 
 def untouched() -> TouchState:
-    return touch.init_touch(CASE.control, CASE.obstacle)
+    return touch.init_touch_state(CASE.control, CASE.obstacle)
 
 
 def from_axis(feet) -> np.ndarray:
@@ -117,13 +119,13 @@ def test_a_foot_that_finds_a_height_lower_than_cautiously_planned_stands_as_deep
     higher = np.asarray(plan.foothold[stage] - case.manoeuvre.plan(case).foothold[stage])[:, 2]
     assert np.all(higher > 2e-3)
     stance = reference_stance(
-        plan, jnp.int32(stage), jnp.ones(()), *stage_start_pose(plan, jnp.int32(stage), no_free_bodies())
+        plan, jnp.int32(stage), jnp.ones(()), *stage_start_pose(plan, jnp.int32(stage), empty_free_body_state())
     )
     now = seen(stance._replace(feet=stance.feet.at[:, 2].set(case.obstacle_of_type(Kerb).height)))
     assert learned.touch is not None
     learned = learned._replace(touch=learned.touch._replace(has_landed=jnp.zeros(6, bool)))
     state = init(case, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
-    step = jax.jit(lambda s, known: update_from_touch(case, case, plan, s, known, now, PERIOD))
+    step = jax.jit(lambda s, known: update_belief_from_touch(case, case, plan, s, known, now, PERIOD))
     for _ in range(100):
         state, _, _, learned = step(state, learned)
     stands = ~np.asarray(plan.swing[stage])
@@ -143,9 +145,9 @@ def test_a_foot_that_lands_early_gives_way_or_is_lifted_clear(radius, pressed, m
     told = seen(stance._replace(feet=stance.feet.at[:, :2].multiply(1 - pressed / radius)))
     clock = 0.75 * plan.duration[stage]
     state = init(CASE, plan)._replace(stage=jnp.int32(stage), feet=stance.feet, joints=told.angles, clock=clock)
-    ground = touch.planned_surface(untouched(), plan, jnp.int32(stage))
+    ground = touch.planned_foothold_surface(untouched(), plan, jnp.int32(stage))
     rest = plan, ground, state, untouched(), seen(stance), PERIOD
-    known, moves, searches = touch.touch_tick(CASE.control, CASE.noise, CASE.robot, *rest)
+    known, moves, searches = touch.update_touch_estimate(CASE.control, CASE.noise, CASE.robot, *rest)
     np.testing.assert_allclose(np.sum(moves * ground.normal, axis=1)[swings], moved, atol=2e-4)
     assert not np.any(np.asarray(searches)[swings])
     assert not np.any(np.asarray(known.has_landed)[swings])  # it has not come to stand
@@ -164,14 +166,14 @@ def test_a_leg_that_is_held_by_its_joints_does_not_search():
     plan = case.manoeuvre.plan(case)
     stage = plan.names.index("narrow.1-4-5.down")
     stance = reference_stance(
-        plan, jnp.int32(stage), jnp.ones(()), *stage_start_pose(plan, jnp.int32(stage), no_free_bodies())
+        plan, jnp.int32(stage), jnp.ones(()), *stage_start_pose(plan, jnp.int32(stage), empty_free_body_state())
     )
     state = init(case, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
-    known = touch.init_touch(case.control, case.obstacle)._replace(has_landed=jnp.zeros(6, bool))
-    ground = touch.planned_surface(known, plan, jnp.int32(stage))
+    known = touch.init_touch_state(case.control, case.obstacle)._replace(has_landed=jnp.zeros(6, bool))
+    ground = touch.planned_foothold_surface(known, plan, jnp.int32(stage))
     rest = plan, ground, state, known, seen(stance, loaded=False), PERIOD
-    _, moves, searches = touch.touch_tick(case.control, case.noise, case.robot, *rest)
-    held = np.asarray(plan.find_layer(HeldLegs).held[stage])
+    _, moves, searches = touch.update_touch_estimate(case.control, case.noise, case.robot, *rest)
+    held = np.asarray(plan.find_layer(JointSpaceLegs).held[stage])
     assert held.sum() == 3
     np.testing.assert_array_equal(searches, ~held)
     np.testing.assert_array_equal(np.any(moves != 0, axis=1), ~held)
@@ -189,7 +191,7 @@ def test_a_foot_that_is_told_late_of_its_load_goes_on_no_faster_than_that_allows
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class ContactRecorder(Layer):
+class ContactRecorder(TrackerLayer):
     """Keeps which feet surely carry load by the measurement, and which may."""
 
     def init_state(self, start, joints, free):
@@ -201,7 +203,7 @@ class ContactRecorder(Layer):
 
 def contacts_of_loads(noise: Noise, loads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """What the controller takes for contact in one tick, where it believes in this noise of exact sensors; (k, 6)."""
-    world, plan = compose(["scenario=pole_climb"]).case, planned().with_layer(ContactRecorder())
+    world, plan = compose(["scenario=pole_climb"]).case, planned().replace_layer(ContactRecorder())
     belief, start = dataclasses.replace(world, noise=noise), closed_loop.start_state(world, world, plan)
     start = start, jnp.zeros(()), jax.random.key(0), LearnedState(), "exact"
     loop = closed_loop.init_loop(world, belief, plan, *start)
@@ -226,7 +228,7 @@ def test_what_a_sensor_shows_in_the_air_makes_no_foot_stand():
 def test_heights_are_planned_for_as_larger_until_a_foot_stands_there():
     nothing, pole = untouched(), CASE.obstacle_of_type(PoleLedge)
     more = CASE.control.caution * CASE.control.obstacle_error
-    wary = touch.planning_obstacle(nothing)
+    wary = touch.cautious_planning_obstacle(nothing)
     np.testing.assert_allclose(wary.height, pole.height * (1 + more), rtol=1e-6)
     np.testing.assert_allclose(wary.radius, pole.radius, rtol=1e-6)
     top = 1.01 * pole.height  # on which a robot stands that believes in the one above
@@ -239,7 +241,7 @@ def test_heights_are_planned_for_as_larger_until_a_foot_stands_there():
         CASE.control, CASE.noise, CASE.robot, start, nothing, true.position, true.quat, angles
     )
     assert float(short.max()) == 0
-    np.testing.assert_allclose(touch.planning_obstacle(found).height, top, atol=1e-3)
+    np.testing.assert_allclose(touch.cautious_planning_obstacle(found).height, top, atol=1e-3)
 
 
 @pytest.mark.parametrize("scenario", ["ball_climb", "ball_to_ball", "ball_ledges"])
@@ -251,7 +253,7 @@ def test_balls_tell_their_radius_by_how_high_they_lie(scenario):
         key, noise = jax.random.key(3), Noise(body_position_bias=bias)
         seen = measure_body_positions(dataclasses.replace(world, noise=noise), key)
         np.testing.assert_allclose(seen, free_start_state(world.obstacle).position, atol=4 * bias + 1e-6)
-        nothing = touch.init_touch(belief.control, belief.obstacle)
+        nothing = touch.init_touch_state(belief.control, belief.obstacle)
         found = touch.update_from_resting_bodies(belief.control, noise, nothing, seen)
         deviation = float(np.sqrt(found.covariance[0, 0]))
         assert deviation > 0.5 * bias  # two balls tell as much twice
@@ -273,12 +275,12 @@ def test_feet_on_the_rungs_of_a_ladder_that_leans_otherwise_tell_their_step():
         ladder, landmark_state(other, leans)
     )  # by its lower ends, as if its rungs were where they are believed
     now = seen(stance_to_world(stance, true.foot_frame[stage], true.base_frame[stage], leans))._replace(free=told)
-    known = touch.init_touch(belief.control, ladder)._replace(has_landed=jnp.zeros(6, bool))
+    known = touch.init_touch_state(belief.control, ladder)._replace(has_landed=jnp.zeros(6, bool))
     state = init(belief, plan)._replace(stage=jnp.int32(stage), feet=plan.foothold[stage], clock=plan.duration[stage])
     state = state._replace(observer=FreeBodyFilterState(told, told))
-    ground = touch.planned_surface(known, plan, jnp.int32(stage))
+    ground = touch.planned_foothold_surface(known, plan, jnp.int32(stage))
     rest = belief.noise, belief.robot, plan, ground
-    found, moves, _ = touch.touch_tick(belief.control, *rest, state, known, now, 1.0)
+    found, moves, _ = touch.update_touch_estimate(belief.control, *rest, state, known, now, 1.0)
     np.testing.assert_allclose(found.obstacle.rung_step, other.rung_step, atol=1e-3)
     on_rungs = np.asarray(plan.foot_frame[stage]) != WORLD_FRAME
     assert on_rungs.sum() == 4
@@ -294,7 +296,9 @@ def test_what_is_left_of_the_way_is_planned_for_the_pole_that_was_found():
     other = dataclasses.replace(CASE, obstacle=found)
     stage = plan.names.index("on.front")
     touched = untouched()._replace(obstacle=found)
-    learned = jax.jit(lambda: replan_rest(CASE, plan, jnp.int32(stage), LearnedState(None, touched, plan)))()
+    learned = jax.jit(
+        lambda: replan_remaining_stages(CASE, plan, jnp.int32(stage), LearnedState(None, touched, plan))
+    )()
     again = learned.plan
     assert float(learned.shortfall) == 0
     fresh = other.manoeuvre.plan(other)
@@ -302,7 +306,7 @@ def test_what_is_left_of_the_way_is_planned_for_the_pole_that_was_found():
     np.testing.assert_allclose(again.foothold[stage + 1 :], fresh.foothold[stage + 1 :], atol=1e-5)
     np.testing.assert_allclose(again.position[stage + 1 :], fresh.position[stage + 1 :], atol=1e-5)
     none = LearnedState(None, touched._replace(obstacle=dataclasses.replace(found, radius=jnp.nan)), plan)
-    kept = jax.jit(lambda: replan_rest(CASE, plan, jnp.int32(stage), none))()
+    kept = jax.jit(lambda: replan_remaining_stages(CASE, plan, jnp.int32(stage), none))()
     np.testing.assert_array_equal(kept.plan.foothold, plan.foothold)
     assert float(kept.shortfall) == np.inf
 
@@ -310,7 +314,7 @@ def test_what_is_left_of_the_way_is_planned_for_the_pole_that_was_found():
 def test_a_plan_out_of_reach_is_told_as_soon_as_it_is_made():
     plan, stage = planned(), jnp.int32(planned().names.index("on.front"))
     small = CalibrationResult(dataclasses.replace(CASE.robot, shin=0.2), jnp.zeros((4, 4)))
-    learned = jax.jit(lambda: replan_rest(CASE, plan, stage, LearnedState(small, untouched(), plan)))()
+    learned = jax.jit(lambda: replan_remaining_stages(CASE, plan, stage, LearnedState(small, untouched(), plan)))()
     assert 0.005 < float(learned.shortfall) < 0.5
 
 

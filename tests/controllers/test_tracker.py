@@ -14,7 +14,7 @@ from sweep.controllers.observation import Observation
 from sweep.controllers.plan import REGRIP
 from sweep.core.rotations import exponential, logarithm, rotate
 from sweep.models.noise import Noise
-from sweep.models.obstacles.surface import no_free_bodies
+from sweep.models.obstacles.surface import empty_free_body_state
 from sweep.models.posture import Stance, feet_in_world, joint_targets
 
 PERIOD = 4e-3
@@ -38,7 +38,7 @@ def follow(plan):
             state, at = carry
             still, joints = jnp.zeros(3), jnp.zeros((6, 3))
             seen = Observation(at + offset, exponential(turn), still, still, joints, joints, joints, loaded,
-                               no_free_bodies())  # fmt: skip
+                               empty_free_body_state())  # fmt: skip
             state, command = tracker.step(CASE, plan, state, seen, PERIOD)
             return (state, command.target.position), (state, command)
 
@@ -55,13 +55,13 @@ def pressed(plan, creep):
     """The plan with forces, none, that press feet down: those that hang by `creep` (m/s); footholds follow in 30 ms."""
     down = jnp.broadcast_to(jnp.array([0.0, 0.0, -1.0]), plan.foothold.shape)
     numbers = jnp.zeros((len(plan.names), 2, 6, 3)), jnp.zeros(len(plan.names)), down, jnp.array(creep), jnp.array(0.03)
-    return plan.with_layer(ForceFeedforward(*numbers))
+    return plan.replace_layer(ForceFeedforward(*numbers))
 
 
 def seen_at_start(plan, loaded):
     """A robot at rest, its base where the plan starts, all joints at 0."""
     still, joints = jnp.zeros(3), jnp.zeros((6, 3))
-    return Observation(*plan.start[1:], still, still, joints, joints, joints, loaded, no_free_bodies())
+    return Observation(*plan.start[1:], still, still, joints, joints, joints, loaded, empty_free_body_state())
 
 
 def stage_starts(states) -> np.ndarray:
@@ -174,7 +174,9 @@ def test_regripped_feet_stand_where_they_are(plan):
         feet = plan.start.feet + ahead
         angles, _ = joint_targets(CASE.robot, Stance(feet, position, quat))
         still, joints = jnp.zeros(3), jnp.zeros((6, 3))
-        seen = Observation(position, quat, still, still, angles, joints, joints, jnp.zeros(6, bool), no_free_bodies())
+        seen = Observation(
+            position, quat, still, still, angles, joints, joints, jnp.zeros(6, bool), empty_free_body_state()
+        )
         late = tracker.init(CASE, plan)._replace(clock=plan.duration[0] + plan.patience)
         return tracker.step(CASE, gripping, late, seen, PERIOD)[0], feet
 

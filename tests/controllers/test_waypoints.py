@@ -51,7 +51,7 @@ def play(case: Case, phases: jax.Array) -> tuple[Plan, Stance, tuple[jax.Array, 
 def test_largest_steps_are_those_of_the_example(case):
     segments = np.diff(WAYPOINTS, axis=0)
     for segment, expected in zip(segments, LIMITS, strict=True):
-        largest = case.manoeuvre.largest_steps(case.robot, jnp.asarray(segment / np.linalg.norm(segment)))
+        largest = case.manoeuvre.largest_step_by_leg(case.robot, jnp.asarray(segment / np.linalg.norm(segment)))
         np.testing.assert_allclose(largest[np.array(CIRCLE) - 1], expected, rtol=1e-9)
 
 
@@ -62,7 +62,7 @@ def test_steps_are_the_share_of_the_limit_or_half_of_what_is_left(case):
         largest = 0.95 * min(limits)
         full = int(length // (2 * largest))
         expected += [largest] * full + [(length - 2 * full * largest) / 2]
-    steps = np.linalg.norm(case.manoeuvre.cycle_steps(case.robot), axis=1)
+    steps = np.linalg.norm(case.manoeuvre.gait_cycle_steps(case.robot), axis=1)
     np.testing.assert_allclose(steps, expected + [0.0] * (len(steps) - len(expected)), rtol=1e-9)
 
 

@@ -30,7 +30,7 @@ def learned(*overrides):
     """Relative errors (robots, sizes) before and after calibration, and the covariance it claims."""
     case = compose([*STAND, *overrides]).case
     world = wrong(case, ROBOTS)
-    over = (devices.batch_axes(world), None, 0)
+    over = (devices.vmap_in_axes(world), None, 0)
     calibrate = jax.vmap(lambda *of_one: pre_rollout.prepare_belief(*of_one)[2].calibration, in_axes=over)
     arrays = devices.to_jax_arrays(world), devices.to_jax_arrays(case), devices.noise_keys(np.arange(ROBOTS))
     found = jax.jit(calibrate)(*arrays)

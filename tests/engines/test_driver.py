@@ -99,7 +99,7 @@ class Driver:
 def test_what_the_driver_links_is_its_machine_code_and_what_it_cannot_is_told(monkeypatch):
     made_up = Driver()
     monkeypatch.setattr(driver, "_driver", lambda: made_up)
-    assert driver.wait_for_kernel(driver.start_ptx_translation("ret;")) == (driver.kernel_key("ret;"), CODE)
+    assert driver.wait_for_kernel(driver.start_ptx_translation("ret;")) == (driver.kernel_cache_key("ret;"), CODE)
     with pytest.raises(UnsupportedPrimitive, match=r"cuLinkAddData_v2: error \(218\): line 1; error"):
         driver.wait_for_kernel(driver.start_ptx_translation("rat;"))
     assert made_up.contexts == []

@@ -257,14 +257,14 @@ def test_a_walk_is_that_of_the_cpu(monkeypatch, few):
     engine = MjxEngine(replace(exp.settings, width=WIDTH, compiler="fused"), exp.case, exp.case)
     world = replace(exp.case, contact=replace(exp.case.contact, friction=np.linspace(0.1, 1.0, WIDTH)))
     (world, belief, keys), program, *_ = engine._prepare(world, exp.case, np.arange(WIDTH), None, 1, None)
-    given, tick = (world, belief, program.start(world, belief, keys)[0]), engine._tick
+    given, tick = (world, belief, program.make_initial_batch(world, belief, keys)[0]), engine._tick
     _, carry = program.planning(world, belief, keys)
     one = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:] if x.ndim else (), x.dtype), (given, carry))
     code = launch.compile_to_ptx(tick, *one, lambda carry: carry.is_over, 2, WIDTH, WIDTH, small_batch=few)
     gpu, _ = launch.run_kernel(code, given, carry, jnp.int32(0), jnp.arange(WIDTH))
-    _, going = program.start(world, belief, keys)
-    going.tiles.advance(0, 2)
-    cpu = going.tiles.read_all()
+    _, going = program.make_initial_batch(world, belief, keys)
+    going.tiles.advance_ticks(0, 2)
+    cpu = going.tiles.read_full_state()
     for name, step in (("q", 1e-6), ("v", 1e-3)):
         np.testing.assert_allclose(getattr(gpu.state, name), getattr(cpu.state, name), atol=step, err_msg=name)
 
@@ -299,10 +299,10 @@ def test_few_rollouts_begin_and_end_as_on_a_cpu_and_their_kernel_is_kept_beside_
     def ended(chunks):
         engine = MjxEngine(replace(exp.settings, width=2), exp.case, exp.case)
         (world, belief, keys), programs, kept, _ = engine._prepare(exp.case, exp.case, np.arange(2), None, 1, None)
-        plans, carry = programs.start(world, belief, keys)
+        plans, carry = programs.make_initial_batch(world, belief, keys)
         for _ in range(chunks):
             carry, _ = programs.simulate_chunk(world, belief, plans, carry, 0, kept)
-        return programs.finish(world, plans, carry)
+        return programs.compute_batch_metrics(world, plans, carry)
 
     handler = driver.make_xla_handler(
         lambda call: launched.append(driver.wait_for_kernel(call.key).code)

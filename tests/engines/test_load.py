@@ -13,7 +13,7 @@ from sweep.core.constants import GRAVITY
 from sweep.core.parameters import parameters, quantity
 from sweep.engines import make_engine
 from sweep.models.obstacles.plane import Plane
-from sweep.models.obstacles.surface import FreeState
+from sweep.models.obstacles.surface import FreeBodyState
 
 HEAVE = 0.1
 
@@ -39,12 +39,12 @@ class Buoy(Plane):
         """Mass and inertia."""
         return {"body_mass": {"buoy": jnp.asarray(self.mass)}, "body_inertia": {"buoy": jnp.ones(3)}}
 
-    def start(self) -> FreeState:
+    def start(self) -> FreeBodyState:
         """Lifted."""
         still = jnp.zeros((1, 3))
-        return FreeState(jnp.array([[3.0, 0.0, 1.0 + HEAVE]]), jnp.array([[1.0, 0, 0, 0]]), still, still)
+        return FreeBodyState(jnp.array([[3.0, 0.0, 1.0 + HEAVE]]), jnp.array([[1.0, 0, 0, 0]]), still, still)
 
-    def external_wrench(self, free: FreeState) -> Float[Array, "1 6"]:
+    def external_wrench(self, free: FreeBodyState) -> Float[Array, "1 6"]:
         """Spring, and what carries the weight."""
         lift = self.mass * GRAVITY - self.stiffness * (free.position[0, 2] - 1)
         return jnp.zeros((1, 6)).at[0, 2].set(lift)

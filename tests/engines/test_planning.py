@@ -26,7 +26,7 @@ def start(world, belief, key):
     )
     bounds = forces.ForceBounds(*(jnp.asarray(bound, float) for bound in forces.ForceBounds(world, 60.0, 5.0, 1e3)))
     sought = jax.tree.map(lambda x: x[None], forces.ForceProblem(pose, bounds))
-    found = forces.evaluate_forces(pose, forces.force_search("friction")(sought)[0])
+    found = forces.evaluate_forces(pose, forces.make_force_search("friction")(sought)[0])
     return found, {"draw": draw, "lowest": jnp.min(arm) * found.imbalance, "bound": world}
 
 

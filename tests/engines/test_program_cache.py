@@ -204,7 +204,7 @@ def test_what_has_no_rule_is_traced_once(folder, monkeypatch):
         traced.append(1)
         raise UnsupportedPrimitive("sort")
 
-    monkeypatch.setattr(MjxEngine, "_compile", fused_loop.catch_missing_rule(none))
+    monkeypatch.setattr(MjxEngine, "_compile", fused_loop.catch_unsupported_primitive(none))
     for _ in range(2):
         engine = MjxEngine(EngineSettings(width=1, compiler="fused"), CASE, CASE)
         with pytest.raises(InputError, match="no rule for sort"):

@@ -11,7 +11,7 @@ from sweep.config.experiment import compose
 from sweep.contract.system import judge_rollout
 from sweep.core.errors import InputError
 from sweep.engines import make_engine
-from sweep.models.scene import native_model
+from sweep.models.scene import compile_native_model
 from sweep.study.study import make_points
 
 OWN = frozenset({"inner_thigh", "outer_shin"})  # of a leg
@@ -33,15 +33,15 @@ def test_a_base_in_a_solid_is_pushed_out():
     """10 mm into the top of a pole, whose geometry for feet it does not feel."""
     case = compose(["scenario=pole_top"]).case
     place = [0, 0, case.obstacle.height + case.robot.body_height / 2 - 0.01]
-    met = touching(native_model(case, 1e-3, solid=True), place)
+    met = touching(compile_native_model(case, 1e-3, solid=True), place)
     assert met[frozenset({"base", "pole"})] == pytest.approx(-0.01, abs=1e-6)
-    assert not any("base" in pair for pair in touching(native_model(case, 1e-3), place))
+    assert not any("base" in pair for pair in touching(compile_native_model(case, 1e-3), place))
 
 
 @pytest.mark.parametrize("robot", ["base", "three_link"])
 def test_legs_meet_each_other_and_their_own_base_but_no_neighbours(robot):
     """Knees folded all the way in lay shins on thighs and over the base; straight legs meet nothing."""
-    model = native_model(compose([f"robot={robot}"]).case, 1e-3, solid=True)
+    model = compile_native_model(compose([f"robot={robot}"]).case, 1e-3, solid=True)
     straight = np.tile([0.0, np.pi / 2, 0.0, 0.0, np.pi / 2, np.pi], 3)  # at 0 left knees are folded
     assert not touching(model, [0, 0, 3], straight)
     assert frozenset({"inner_thigh2_solid", "outer_shin2_solid"}) in touching(
@@ -61,7 +61,7 @@ def test_legs_meet_each_other_and_their_own_base_but_no_neighbours(robot):
 def test_a_shin_meets_the_rung_that_its_foot_is_on():
     """The foot of leg 4 is on the top of rung 3, 20 mm from the edge that its shin goes out over, its knee below."""
     case = compose(["scenario=ladder_climb"]).case
-    ladder, data = case.obstacle, mujoco.MjData(model := native_model(case, 1e-3, solid=True))
+    ladder, data = case.obstacle, mujoco.MjData(model := compile_native_model(case, 1e-3, solid=True))
     angles = np.zeros((6, 3))
     angles[:, 1:] = [2.4, -1.5]
     data.qpos[:3], data.qpos[7:25] = [0, 0, 3], angles.ravel()
@@ -71,7 +71,7 @@ def test_a_shin_meets_the_rung_that_its_foot_is_on():
     assert towards[2] < -0.3
     out = np.sign(towards[1])
     turn = np.array([[out, 0, 0], [0, 0, out], [0, -1, 0]])  # the ladder's rails are upright, its front faces the knee
-    top = [0.3, float(ladder.mass_centre_distance) - 3 * ladder.rung_step, ladder.rung_depth / 2 - 0.02]
+    top = [0.3, float(ladder.mass_centre_along_rails) - 3 * ladder.rung_step, ladder.rung_depth / 2 - 0.02]
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, turn.ravel())
     data.qpos[25:28], data.qpos[28:32] = foot - turn @ top, quat

@@ -8,7 +8,7 @@ from raft_laws import energy, vertical_momentum
 from scipy.integrate import solve_ivp
 
 from sweep.formulas import NoSolution, evaluate
-from sweep.formulas.raft_dynamics import RaftBody, integrate, raft_linear, raft_ode, state_derivative
+from sweep.formulas.raft_dynamics import RaftBody, integrate_dormand_prince, raft_linear, raft_ode, state_derivative
 
 A, B, D, GAMMA = 1.575, 1.05, 0.105, 9810.0
 WEIGHT = 4 * GAMMA * A * B * 0.1
@@ -135,6 +135,6 @@ def test_crossing_is_the_coasting_of_the_raft(h):
 
 def test_the_integrator_keeps_its_accuracy_and_says_where_it_does_not_arrive(double):
     start, sought = jnp.array([1.0, 0.0]), 1e-9
-    swing = integrate(lambda y: jnp.stack([y[1], -y[0]]), start, 10.0, sought)
+    swing = integrate_dormand_prince(lambda y: jnp.stack([y[1], -y[0]]), start, 10.0, sought)
     np.testing.assert_allclose(swing, [np.cos(10.0), -np.sin(10.0)], atol=100 * sought)
-    assert np.isnan(integrate(lambda y: y**2, jnp.ones(1), 2.0, sought)).all()  # infinite at 1
+    assert np.isnan(integrate_dormand_prince(lambda y: y**2, jnp.ones(1), 2.0, sought)).all()  # infinite at 1

@@ -31,7 +31,7 @@ def both(function, *batch, group=6):
             lambda given, carried, k: (carried, function(*given)), one, [jnp.zeros(())], group, lanes
         )
         tiles = kernel.Kernel(code).load_batch(list(batch), [jnp.zeros(WIDTH)], WIDTH)
-        record = tiles.advance(0, 1, np.arange(WIDTH))
+        record = tiles.advance_ticks(0, 1, np.arange(WIDTH))
         assert record is not None
         return {name: x[0] for name, x in record.items()}
 
@@ -139,7 +139,7 @@ def test_a_row_is_stored_at_a_computed_address(shape):
     size, ticks, tick = 5, 12, ring(5)
     delays, start = jnp.arange(WIDTH) % size, (some(size, *shape), some(*shape, seed=1))
     code = kernel.compile_function(tick, delays[0], jax.tree.map(lambda x: x[0], start))
-    record = kernel.Kernel(code).load_batch(delays, start, WIDTH).advance(0, ticks, np.arange(WIDTH))
+    record = kernel.Kernel(code).load_batch(delays, start, WIDTH).advance_ticks(0, ticks, np.arange(WIDTH))
     assert record is not None
     for k in range(WIDTH):
         carried = jax.tree.map(lambda x, k=k: x[k], start)
@@ -151,7 +151,7 @@ def test_a_row_is_stored_at_a_computed_address(shape):
 
 def test_a_longer_ring_buffer_takes_no_more_instructions():
     def instructions(size: int) -> int:
-        _, printer = kernel.print_program(ring(size), jnp.int32(0), (jnp.zeros((size, 6, 3)), jnp.zeros((6, 3))))
+        _, printer = kernel.print_llvm_program(ring(size), jnp.int32(0), (jnp.zeros((size, 6, 3)), jnp.zeros((6, 3))))
         return len(printer.lines)
 
     assert instructions(100) == instructions(4)
@@ -165,7 +165,7 @@ def test_a_replaced_row_that_is_used_at_once_is_looked_up():
     start = some(3, 2)
     code = kernel.compile_function(tick, jnp.float32(0), start[0])
     tiles = kernel.Kernel(code).load_batch(jnp.ones(WIDTH), start, WIDTH)
-    record = tiles.advance(0, 4, np.arange(WIDTH))
+    record = tiles.advance_ticks(0, 4, np.arange(WIDTH))
     assert record is not None
     for number in range(4):
         expected = start.at[:, number % 3].set(start[:, 2] + 1)
@@ -183,7 +183,7 @@ def test_a_batch_keeps_the_program_that_it_goes_through():
         tiles = Kernel(code).load_batch(one + 2, one[None], 1)
         gc.collect()
         tiles.advance(0, 3)
-        print(tiles.read_all())
+        print(tiles.read_full_state())
     """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, "[6.]\n"), done.stderr
@@ -353,7 +353,7 @@ def test_a_loop_that_no_rollout_enters_leaves_what_it_carries():
 
 def test_what_may_be_skipped_stands_in_a_branch_but_for_what_the_loop_repeats():
     one = jax.ShapeDtypeStruct((), jnp.float32)
-    program, _ = kernel.print_program(lambda x, carried, k: (carried, cube_root("cond", x)), one, jnp.zeros(()), 6)
+    program, _ = kernel.print_llvm_program(lambda x, carried, k: (carried, cube_root("cond", x)), one, jnp.zeros(()), 6)
     (branch,) = (x for x in walk_block(program.top_block) if isinstance(x, Branch))
     idle, busy = branch.blocks
     assert [x for x in walk_block(idle) if isinstance(x, Node)] == []
@@ -385,7 +385,7 @@ def test_a_group_may_have_another_size(group):
     for name, values in fused.items():
         np.testing.assert_allclose(values, xla[name], rtol=1e-5, atol=1e-6, err_msg=name)
     one = jax.ShapeDtypeStruct(x.shape[1:], x.dtype)
-    program, _ = kernel.print_program(lambda given, carried, k: (carried, moved(given)), one, jnp.zeros(()), group)
+    program, _ = kernel.print_llvm_program(lambda given, carried, k: (carried, moved(given)), one, jnp.zeros(()), group)
     roots = [n for n in walk_block(program.top_block) if isinstance(n, Node) and n.op == "sqrt"]
     assert [n.leg for n in roots] == [True]
 
@@ -397,7 +397,7 @@ def test_rows_that_are_alike_leave_the_others_one_operation_for_the_legs():
     fused, xla = both(rooted, x := abs(some(6)))
     np.testing.assert_allclose(fused["x"], xla["x"], rtol=1e-6)
     one = jax.ShapeDtypeStruct(x.shape[1:], x.dtype)
-    program, _ = kernel.print_program(lambda given, carried, k: (carried, rooted(given)), one, jnp.zeros(()))
+    program, _ = kernel.print_llvm_program(lambda given, carried, k: (carried, rooted(given)), one, jnp.zeros(()))
     roots = [n for n in walk_block(program.top_block) if isinstance(n, Node) and n.op == "sqrt"]
     assert sorted(n.leg for n in roots) == [False, True]
 

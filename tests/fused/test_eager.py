@@ -107,7 +107,7 @@ def leaves(tree):
 def test_it_is_what_xla_makes_of_it(function, double):
     with jax.enable_x64(double):
         x, y, keys = batch(dtype=np.float64 if double else np.float32)
-        program = eager.trace(function, x[0], y, keys[0])
+        program = eager.trace_numpy_program(function, x[0], y, keys[0])
         made, expected = program(WIDTH, x, y, keys), jax.jit(jax.vmap(function, (0, None, 0)))(x, y, keys)
         assert jax.tree.structure(made) == jax.tree.structure(expected)
         for one, other in zip(leaves(made), leaves(expected), strict=True):
@@ -119,7 +119,7 @@ def test_it_is_what_xla_makes_of_it(function, double):
 @pytest.mark.parametrize("function", [arithmetic, reductions, lookups, loops, matrices, draws])
 def test_numbers_depend_neither_on_the_batch_nor_on_the_place_in_it(function):
     x, y, keys = batch()
-    program = pickle.loads(pickle.dumps(eager.trace(function, x[0], y, keys[0])))
+    program = pickle.loads(pickle.dumps(eager.trace_numpy_program(function, x[0], y, keys[0])))
     whole = leaves(program(WIDTH, x, y, keys))
     for here in (slice(0, 1), slice(5, 6), slice(36, 37), slice(3, 20), slice(None, None, -1)):
         part = leaves(program(len(x[here]), x[here], y, keys[here]))
@@ -138,18 +138,18 @@ def test_what_is_set_apart_is_done_by_others():
         return dear(x, 2.0) + y.sum()
 
     x, y, _ = batch(3)
-    program = eager.trace(function, x[0], y, external=("dear",))
+    program = eager.trace_numpy_program(function, x[0], y, external=("dear",))
     assert [(a.shape, a.dtype) for a in program.external_functions["dear"]] == [((4, 6), np.float32), ((), np.float32)]
     made = program(3, x, y, external={"dear": lambda rows, scale: np.sort(rows, axis=1) * scale})
     np.testing.assert_allclose(made, np.sort(x, axis=2) * 2 + y.sum(), rtol=1e-6)
     with pytest.raises(UnsupportedPrimitive, match="sort"):
-        eager.trace(function, x[0], y)
+        eager.trace_numpy_program(function, x[0], y)
 
 
 def test_plain_numbers_are_worked_out_while_something_is_traced_and_by_xla_without_a_rule():
     def traced(x):
-        assert eager.evaluate_constants(lambda: jnp.sin(2.0) + 1) == pytest.approx(np.sin(2) + 1)
-        assert eager.evaluate_constants(lambda: jnp.sort(jnp.array([2.0, 1.0])))[0] == 1
+        assert eager.evaluate_constant_function(lambda: jnp.sin(2.0) + 1) == pytest.approx(np.sin(2) + 1)
+        assert eager.evaluate_constant_function(lambda: jnp.sort(jnp.array([2.0, 1.0])))[0] == 1
         return x
 
     jax.make_jaxpr(traced)(1.0)

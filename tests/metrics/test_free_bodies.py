@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import pytest
 
 from sweep.metrics import free_bodies
-from sweep.models.obstacles.surface import FreeState
+from sweep.models.obstacles.surface import FreeBodyState
 
 DRIVE = SimpleNamespace(drives_body=True, obstacle_speed=lambda duration: 0.1, lateral_offset=lambda way: abs(way[1]))
 WORLD = SimpleNamespace(manoeuvre=DRIVE)
@@ -16,7 +16,7 @@ WORLD = SimpleNamespace(manoeuvre=DRIVE)
 def moment(time: float, stage: int, phase: float, duration: list[float]) -> Any:
     """A ball that goes along x at 0.1 m/s, in a stage of a plan."""
     still = jnp.zeros((1, 3))
-    free = FreeState(still.at[0, 0].set(0.1 * time), jnp.array([[1.0, 0.0, 0.0, 0.0]]), still, still)
+    free = FreeBodyState(still.at[0, 0].set(0.1 * time), jnp.array([[1.0, 0.0, 0.0, 0.0]]), still, still)
     tick = SimpleNamespace(actual=SimpleNamespace(free=free, position=jnp.zeros(3)))
     plan = SimpleNamespace(duration=jnp.array(duration))
     ended = jnp.asarray(False)

@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from sweep.models.geometry import (
     EDGE_SEARCH_RADIUS_M,
-    edge_distance,
+    foot_edge_distance,
     gap_between_legs,
     leg_base_gap,
     link_capsules,
@@ -127,7 +127,7 @@ def test_a_shin_goes_through_the_rung_that_its_foot_is_on_or_rises_over_it(angle
 def test_a_foot_on_a_kerb_is_as_far_from_the_edge_as_it_stands_from_it():
     """Along its top, and down its side; no farther than edges are looked for."""
     feet = jnp.array([[0.02, 0.0, 0.1], [0.3, 1.0, 0.1], [0.0, 0.0, 0.07]])
-    assert edge_distance(Kerb(), feet, identity_poses(0)) == pytest.approx(
+    assert foot_edge_distance(Kerb(), feet, identity_poses(0)) == pytest.approx(
         np.array([0.02, EDGE_SEARCH_RADIUS_M, 0.03]), abs=1e-6
     )
 
@@ -141,5 +141,5 @@ def test_a_foot_on_a_rung_is_as_far_from_its_edge_as_half_of_the_rung_is_high_at
     top = np.asarray(bars.centre)[rung] - [0.0, float(np.asarray(bars.half)[rung, 1]), 0.0]
     feet = jnp.asarray(top + out[:, None] * [0.0, 0.0, 1.0])
     lies = BodyPoses(jnp.array([[0.0, 0.0, 1.0]]), jnp.eye(3)[None])
-    left = edge_distance(ladder, feet + lies.position[0], lies)
+    left = foot_edge_distance(ladder, feet + lies.position[0], lies)
     assert left == pytest.approx(np.array([0.02, 0.018, 0.001]), abs=1e-6)

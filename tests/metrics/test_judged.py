@@ -13,9 +13,9 @@ from sweep.core.constants import GRAVITY
 from sweep.core.outcomes import GOAL_MISSED
 from sweep.metrics import attitude, clearance, depth, drives, free_bodies, rest, shins, slip, solver
 from sweep.metrics.outcome import threshold_value
-from sweep.metrics.tick import MetricTick, RolloutEnd, RolloutStart
+from sweep.metrics.tick import MetricContext, RolloutEnd, RolloutStart
 from sweep.models.geometry import leg_base_gap, thigh_shin_gap
-from sweep.models.obstacles.surface import FreeState, body_poses, no_free_bodies
+from sweep.models.obstacles.surface import FreeBodyState, body_poses, empty_free_body_state
 from sweep.models.robot import total_mass
 
 EXPERIMENT = compose(["scenario=stand_push"])
@@ -27,9 +27,9 @@ LEGS = np.stack([HIPS, HIPS + [[0, y * 0.4, 0.0] for y in np.sign(HIPS[:, 1])],
                  HIPS + [[0, y * 0.4, -0.525] for y in np.sign(HIPS[:, 1])]], axis=1)  # fmt: skip
 
 
-def moment(time: float = 0.0, legs: np.ndarray = LEGS, free: FreeState | None = None, **changes: Any) -> Any:
+def moment(time: float = 0.0, legs: np.ndarray = LEGS, free: FreeBodyState | None = None, **changes: Any) -> Any:
     """A tick of a robot that stands as it is told to."""
-    free = no_free_bodies() if free is None else free
+    free = empty_free_body_state() if free is None else free
     none = jnp.zeros((6, 3))
     tick = {
         "joints": jnp.asarray(legs), "bodies": body_poses(free), "power": none, "torque_peak": none, "saturated": none,
@@ -45,7 +45,7 @@ def moment(time: float = 0.0, legs: np.ndarray = LEGS, free: FreeState | None = 
         "stage_start": BASE, "shortfall": jnp.zeros(()),
     }  # fmt: skip
     tick, truth, now = ({name: changes.get(name, value) for name, value in part.items()} for part in (tick, truth, now))
-    return MetricTick(**now, report=SimpleNamespace(actual=SimpleNamespace(**truth), **tick))
+    return MetricContext(**now, report=SimpleNamespace(actual=SimpleNamespace(**truth), **tick))
 
 
 def judged(metric: Any, moments: list[Any], experiment: Any = EXPERIMENT) -> tuple[dict[str, float], set[str]]:
@@ -200,11 +200,11 @@ def test_a_thigh_does_not_go_through_the_base():
     assert [("base_hit" in met) for met in found] == [False, True]
 
 
-def ball(time: float, speed: float, turn: float = 0.0) -> FreeState:
+def ball(time: float, speed: float, turn: float = 0.0) -> FreeBodyState:
     """That goes along x and has turned."""
     still = jnp.zeros((1, 3))
     quat = jnp.array([[np.cos(turn / 2), 0.0, np.sin(turn / 2), 0.0]])
-    return FreeState(still.at[0, 0].set(speed * time), quat, still.at[0, 0].set(speed), still)
+    return FreeBodyState(still.at[0, 0].set(speed * time), quat, still.at[0, 0].set(speed), still)
 
 
 def test_a_ball_is_at_rest_when_the_plan_has_ended_not_in_the_mean_before():

@@ -9,7 +9,7 @@ import pytest
 from sweep.metrics import landing
 from sweep.metrics.tick import RolloutStart
 from sweep.models.obstacles.plane import Plane
-from sweep.models.obstacles.surface import body_poses, no_free_bodies
+from sweep.models.obstacles.surface import body_poses, empty_free_body_state
 
 WORLD = SimpleNamespace(obstacle=Plane())
 FEET = np.array([[0.3 * leg, 0.2, 0.0] for leg in range(6)])
@@ -27,14 +27,16 @@ def reserve(*stages):
     """Of stages of (how long they take, how high the first foot is at the end of each and whether it is loaded)."""
     zero = jnp.zeros(())
     start = RolloutStart(
-        WORLD, None, jnp.zeros(3), jnp.array([1.0, 0, 0, 0]), jnp.asarray(FEET), no_free_bodies(), zero
+        WORLD, None, jnp.zeros(3), jnp.array([1.0, 0, 0, 0]), jnp.asarray(FEET), empty_free_body_state(), zero
     )
     state, time = landing.METRIC.begin(start), 0
     for number, (takes, height, lands) in enumerate(stages):
         feet = FEET + height * FIRST[:, None] * np.array([0, 0, 1.0])
         loaded = ALL if lands else ~FIRST
         truth = SimpleNamespace(loaded=jnp.asarray(loaded))
-        tick = SimpleNamespace(joints=jnp.asarray(feet)[:, None], actual=truth, bodies=body_poses(no_free_bodies()))
+        tick = SimpleNamespace(
+            joints=jnp.asarray(feet)[:, None], actual=truth, bodies=body_poses(empty_free_body_state())
+        )
         for _ in range(round(takes / PERIOD)):
             time += 1
             now = SimpleNamespace(world=WORLD, plan=PLAN, stage=jnp.int32(number), finished=jnp.asarray(False),

@@ -16,9 +16,9 @@ from sweep.metrics.outcome import (
     CAUSE_MEANINGS,
     COLUMN_MEANINGS,
     OutcomeThresholds,
+    cause_sentence_with_threshold,
     classify,
     explain_cause,
-    sentence_with_limit,
     threshold_value,
 )
 from sweep.study.columns import LABEL_COLUMNS
@@ -56,7 +56,7 @@ def test_every_threshold_has_its_cause(cause):
         "invalid" if cause.invalid else "failure", cause.name, cause.threshold
     )  # fmt: skip
     assert cause.name in CAUSE_MEANINGS
-    said = sentence_with_limit(cause, STRICT)
+    said = cause_sentence_with_threshold(cause, STRICT)
     assert explain_cause({**got, **beyond(cause)}, STRICT).startswith(said)
 
 

@@ -10,13 +10,13 @@ from sweep.metrics import slip
 from sweep.metrics.tick import RolloutStart
 from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.plane import Plane
-from sweep.models.obstacles.surface import body_poses, no_free_bodies, surface_at
+from sweep.models.obstacles.surface import body_poses, empty_free_body_state, surface_at
 
 WORLD = SimpleNamespace(obstacle=Plane())
 FEET = np.array([[0.3 * leg, 0.2, 0.0] for leg in range(6)])
 
 
-def rollout(ticks, world=WORLD, free=no_free_bodies):
+def rollout(ticks, world=WORLD, free=empty_free_body_state):
     """Largest slip of ticks of (feet, loaded, legs that swing, phase), free bodies being as in `free()`."""
     start = RolloutStart(world, None, jnp.zeros(3), jnp.array([1.0, 0, 0, 0]), jnp.asarray(FEET), free(), jnp.zeros(()))
     state = slip.METRIC.begin(start)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import pytest
 
 from sweep.metrics import two_balls
-from sweep.models.obstacles.surface import FreeState
+from sweep.models.obstacles.surface import FreeBodyState
 from sweep.models.obstacles.two_balls import TwoBalls
 
 DURATION = [10.0, 20.0]
@@ -20,7 +20,7 @@ def moment(time: float) -> Any:
     leaves = 0.02 * max(0.0, time - 10)
     still, start = jnp.zeros((2, 3)), WORLD.start()
     place = start.position.at[:, 0].add(jnp.array([way, leaves]))
-    free = FreeState(place, start.quat, still.at[0, 0].set(speed), still)
+    free = FreeBodyState(place, start.quat, still.at[0, 0].set(speed), still)
     stage = int(time >= DURATION[0])
     phase = (time - DURATION[0] * stage) / DURATION[stage]
     plan = SimpleNamespace(laws=("roll", "over"), duration=jnp.array(DURATION))

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.obstacles.surface import BodyPoses, FreeState, Surface
+from sweep.models.obstacles.surface import BodyPoses, FreeBodyState, Surface
 from sweep.models.solids import Box, Solid
 
 CORNERS = np.array([[1, 1, -1], [1, -1, -1], [-1, 1, -1], [-1, -1, -1]])
@@ -53,7 +53,7 @@ class Slab:
         half = (self.half_length, self.half_width, self.half_height)
         return (Box(name="slab", position=bodies.position[0], rotation=bodies.rotation[0], half=half, body=0),)
 
-    def external_wrench(self, free: FreeState) -> None:
+    def external_wrench(self, free: FreeBodyState) -> None:
         """Nothing beside weight and contact."""
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:

@@ -11,12 +11,12 @@ from validity.simulation import simulate
 
 from sweep.config.experiment import compose
 from sweep.core.constants import GRAVITY
-from sweep.dynamics.free_bodies import start_at_rest
+from sweep.dynamics.free_bodies import resting_start_state
 from sweep.formulas.leg import SIDE_BY_LEG
 from sweep.models import scene
 from sweep.models.obstacles.ball import Ball
 from sweep.models.posture import Stance, joint_targets
-from sweep.models.scene import native_model
+from sweep.models.scene import compile_native_model
 
 STEP, SECONDS, FALL, PERIOD = 2e-3, 2.0, 1.0, 0.4
 UPRIGHT = jnp.array([1.0, 0, 0, 0])
@@ -75,7 +75,7 @@ def test_rolling_ball_slows_down(history, nominal):
 def test_rolling_ball_slows_down_in_c(nominal, speed):
     """So does it in the second engine, at any speed: MuJoCo's friction is viscous below one that it chooses."""
     ball = dataclasses.replace(nominal.obstacle, speed=speed)
-    model = native_model(dataclasses.replace(nominal, obstacle=ball), 1e-3)
+    model = compile_native_model(dataclasses.replace(nominal, obstacle=ball), 1e-3)
     data, start = mujoco.MjData(model), ball.start()
     data.qpos[2], data.qpos[BALL_AT] = 40.0, start.position[0]
     data.qvel[BALL_MOVES], data.qvel[27:30] = start.velocity[0], start.turn[0]
@@ -105,7 +105,7 @@ def test_contact_damps_alike_at_a_shorter_step(nominal):
     q = np.tile(np.zeros(32), (2, 1))
     q[:, 3] = q[:, 28] = 1.0
     q[:, 2] = 40.0
-    q[:, BALL_AT] = [np.add(ball.start().position[0], [0, 0, fall]), start_at_rest(nominal).position[0]]
+    q[:, BALL_AT] = [np.add(ball.start().position[0], [0, 0, fall]), resting_start_state(nominal).position[0]]
     targets = np.zeros((round(0.15 / step), 6, 3), np.float32)
     history = simulate(nominal, nominal, q.astype(np.float32), targets, h=step)
     fast = history.v[:, :, 26]

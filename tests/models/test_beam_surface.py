@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from sweep.models.obstacles import Beam
-from sweep.models.obstacles.surface import body_poses, no_free_bodies
+from sweep.models.obstacles.surface import body_poses, empty_free_body_state
 
 BEAM = Beam(width=0.25, length=2.0, height=1.0, thickness=0.1)
 UP, LEFT, RIGHT, DOWN, NEAR, FAR = (0, 0, 1), (1, 0, 0), (-1, 0, 0), (0, 0, -1), (0, -1, 0), (0, 1, 0)
@@ -30,6 +30,6 @@ UP, LEFT, RIGHT, DOWN, NEAR, FAR = (0, 0, 1), (1, 0, 0), (-1, 0, 0), (0, 0, -1),
     ],
 )
 def test_depth_and_normal(point, depth, normal):
-    felt = BEAM.surface(jnp.array([point], jnp.float32), (-1,), body_poses(no_free_bodies()))
+    felt = BEAM.surface(jnp.array([point], jnp.float32), (-1,), body_poses(empty_free_body_state()))
     assert float(felt.depth[0]) == pytest.approx(depth, abs=1e-6)
     np.testing.assert_array_equal(felt.normal[0], normal)

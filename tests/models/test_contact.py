@@ -10,25 +10,25 @@ from hypothesis import strategies as st
 from sweep.core.rotations import exponential, matrix
 from sweep.core.vectors import Matrix, Vector
 from sweep.dynamics.contacts import (
-    Anchors,
+    ContactAnchors,
     ContactGeometry,
     contact_damping,
     contact_forces,
     contact_geometry,
     no_anchors,
-    to_body_frame,
-    to_world_frame,
+    transform_points_to_body,
+    transform_points_to_world,
     update_anchors,
 )
 from sweep.dynamics.newton import BlockMatrix
 from sweep.models.contact import Contact
 from sweep.models.obstacles.kerb import Kerb
 from sweep.models.obstacles.plane import Plane
-from sweep.models.obstacles.surface import BodyPoses, body_poses, no_free_bodies
+from sweep.models.obstacles.surface import BodyPoses, body_poses, empty_free_body_state
 
 H = 2e-3
 CONTACT = Contact(friction=0.7)
-NOWHERE = body_poses(no_free_bodies())
+NOWHERE = body_poses(empty_free_body_state())
 DAMPING = 300.0  # N s/m, of contact and surface
 
 
@@ -87,7 +87,7 @@ def test_dragged_anchor_holds_just_the_limit():
     velocity = jnp.array([[0.3, 0.0, 0.0]])
     surface = Plane().surface(point, (-1,), NOWHERE)
     foot, passing = Vector.from_array(point), Vector.from_array(velocity)
-    anchors = Anchors(Vector.from_array(jnp.array([[-0.01, 0.0, 0.0]])), jnp.array([True]), surface.face)
+    anchors = ContactAnchors(Vector.from_array(jnp.array([[-0.01, 0.0, 0.0]])), jnp.array([True]), surface.face)
     geometry, place = contact_geometry(CONTACT, surface, anchors, foot, ())
     forces = contact_forces(CONTACT, geometry, passing)
     assert forces.slipping[0]
@@ -102,10 +102,10 @@ def test_axes_of_free_bodies_round_trip():
     rng = np.random.default_rng(2)
     bodies = BodyPoses(jnp.asarray(rng.normal(size=(2, 3))), matrix(exponential(jnp.asarray(rng.normal(size=(2, 3))))))
     body, place = jnp.array([-1, 0, 1, 1]), jnp.asarray(rng.normal(size=(4, 3)))
-    world = to_world_frame(place, body, bodies)
+    world = transform_points_to_world(place, body, bodies)
     np.testing.assert_allclose(world[0], place[0])
     np.testing.assert_allclose(world[2], bodies.rotation[1] @ place[2] + bodies.position[1], atol=1e-14)
-    np.testing.assert_allclose(to_body_frame(world, body, bodies), place, atol=1e-14)
+    np.testing.assert_allclose(transform_points_to_body(world, body, bodies), place, atol=1e-14)
 
 
 def test_anchors_keep_their_form_in_double_precision():
@@ -131,6 +131,6 @@ def test_root_bodies_equal_a_dense_solve(bodies):
         for j in range(2 * bodies):
             block = dense[3 * i : 3 * i + 3, 3 * j : 3 * j + 3]
             if np.any(block):
-                blocks.add(i, j, Matrix.from_array(jnp.asarray(block[None])))
+                blocks.add_block(i, j, Matrix.from_array(jnp.asarray(block[None])))
     x = blocks.solve([Vector.from_array(jnp.asarray(part[None])) for part in b.reshape(-1, 3)])
     np.testing.assert_allclose(np.ravel([part.array() for part in x]), np.linalg.solve(dense, b), rtol=1e-12)

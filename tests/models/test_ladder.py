@@ -14,7 +14,7 @@ from sweep.core.errors import InputError
 from sweep.core.rotations import matrix
 from sweep.models.obstacles.ladder import BARS, FLOOR, LEDGE, WALL, Ladder
 from sweep.models.obstacles.surface import landmark_state, state_from_landmarks
-from sweep.models.scene import native_model
+from sweep.models.scene import compile_native_model
 
 STEP, SECONDS = 2e-3, 5.0
 PLACE, QUAT, MOVES, TURNS = slice(25, 28), slice(28, 32), slice(24, 27), slice(27, 30)  # in q, q, v, v
@@ -26,7 +26,7 @@ def least_friction(ladder: Ladder) -> float:
 
     The edges that touch are on the side of the wall, half a rail's depth from the plane of the mass centre.
     """
-    arm = ladder.mass_centre_distance * np.cos(ladder.lean) - ladder.rail_depth / 2 * np.sin(ladder.lean)
+    arm = ladder.mass_centre_along_rails * np.cos(ladder.lean) - ladder.rail_depth / 2 * np.sin(ladder.lean)
     return float(arm / (ladder.length * np.sin(ladder.lean)))
 
 
@@ -82,7 +82,7 @@ def test_its_energy_never_rises(history, nominal):
 def test_it_holds_and_slides_in_c(nominal, share):
     """At the same friction; where it holds it creeps no more than in the other engine."""
     ladder = dataclasses.replace(nominal.obstacle, floor_grip=share * least_friction(nominal.obstacle), wall_grip=0.0)
-    model = native_model(dataclasses.replace(nominal, obstacle=ladder), 1e-3)
+    model = compile_native_model(dataclasses.replace(nominal, obstacle=ladder), 1e-3)
     data, start = mujoco.MjData(model), ladder.start()
     data.qpos[2], data.qpos[PLACE], data.qpos[QUAT] = 400.0, start.position[0], start.quat[0]
     mujoco.mj_step(model, data, 3000)
@@ -95,7 +95,7 @@ def test_it_holds_and_slides_in_c(nominal, share):
 
 def test_mass_and_inertia_are_those_of_its_bars(nominal):
     """As MuJoCo works them out from the boxes that are drawn."""
-    model = native_model(nominal, 1e-3)
+    model = compile_native_model(nominal, 1e-3)
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body(name="ladder")
     boxes = [g for g in range(model.ngeom) if model.geom(g).name.startswith(("rail", "rung"))]
@@ -114,7 +114,7 @@ def test_feet_feel_rungs_rails_wall_and_ledge(nominal):
     ladder = nominal.obstacle
     bodies = ladder.start_poses()
     own = np.array([[0.3, 0.0, 0.0], [ladder.width / 2 + 0.001, 0.5, 0.0]])
-    own[0, 1] = float(ladder.mass_centre_distance) - 3 * ladder.rung_step + 1e-3  # 1 mm under the third rung's top
+    own[0, 1] = float(ladder.mass_centre_along_rails) - 3 * ladder.rung_step + 1e-3  # 1 mm under the third rung's top
     others = [[0.0, -1e-3, 1.0], [0.0, -0.3, ladder.ledge_height - 1e-3], [0.0, 2.0, -1e-3]]
     on_it = np.asarray(bodies.position[0]) + own @ np.asarray(bodies.rotation[0]).T
     points = np.concatenate([on_it, others])
@@ -136,7 +136,7 @@ def test_believed_rungs_are_off_as_of_rails_that_are_seen_at_their_lower_ends():
     up = np.asarray(matrix(free.quat)[0]) @ [0, -1, 0]
 
     def rungs(ladder, at):
-        tops = np.arange(1, 6) * ladder.rung_step - float(ladder.mass_centre_distance)
+        tops = np.arange(1, 6) * ladder.rung_step - float(ladder.mass_centre_along_rails)
         return np.asarray(at.position[0]) + tops[:, None] * up
 
     off = (rungs(believed, seen) - rungs(true, free)) @ up

@@ -39,7 +39,7 @@ def policy(belief, observation, state, key): return jnp.zeros(0), state
 def test_fields_that_differ_within_a_batch_are_all_found(paths):
     spec = mujoco.MjSpec.from_string(MODEL)
     batch = Batch(spec.copy().compile(), 2)
-    written = fields.write_values(batch, {path: np.array(VARIED[path]) for path in paths}, lambda: spec)
+    written = fields.write_batch_parameters(batch, {path: np.array(VARIED[path]) for path in paths}, lambda: spec)
     found = mujoco_versions.differing_model_fields(batch, written)
     models = [batch.get_model(k) for k in range(2)]
     for name in MODEL_FIELDS:
@@ -48,7 +48,7 @@ def test_fields_that_differ_within_a_batch_are_all_found(paths):
             np.testing.assert_array_equal(found[name], rows, err_msg=name)
         elif rows.dtype.kind == "f":
             np.testing.assert_array_equal(rows[0], rows[1], err_msg=name)
-    assert {fields.locate_numbers(models[0], path)[1][0].field for path in paths} <= found.keys()
+    assert {fields.resolve_parameter_path(models[0], path)[1][0].field for path in paths} <= found.keys()
 
 
 @pytest.fixture

@@ -23,7 +23,7 @@ from sweep.formulas.raft_statics import hydro_thick
 from sweep.manoeuvres.walking.walk import Stand, level_stance
 from sweep.models.case import Case
 from sweep.models.obstacles.raft import CORNER_SIGNS, Raft
-from sweep.models.obstacles.surface import FreeState
+from sweep.models.obstacles.surface import FreeBodyState
 from sweep.models.posture import joint_targets, mass_centre
 from sweep.models.robot import total_mass
 from sweep.planning.compile_plan import compile_plan
@@ -121,7 +121,7 @@ def test_buoyancy_is_that_of_four_columns():
         raft = Raft(drag=0.0, viscosity=0.0)
         quat = exponential(jnp.array([0.03, -0.05, 0.4]))
         place, still = jnp.array([[1.0, 0.2, -0.06]]), jnp.zeros((1, 3))
-        wrench = np.asarray(raft.external_wrench(FreeState(place, quat[None], still, still))[0])
+        wrench = np.asarray(raft.external_wrench(FreeBodyState(place, quat[None], still, still))[0])
         turned, (a, b, d) = np.asarray(matrix(quat)), np.asarray(raft.half_size)
         a3, depth, total = turned[2], -raft.bank_height + 0.06, np.zeros(6)
         for x, y in CORNER_SIGNS:
@@ -239,7 +239,7 @@ class Afloat(Raft):
     lift: float = quantity(0.0, "m")
     speed: float = quantity(0.0, "m/s")
 
-    def start(self) -> FreeState:
+    def start(self) -> FreeBodyState:
         """See `Raft`."""
         rest, (x, z) = super().start(), np.array([[1.0, 0, 0], [0, 0, 1.0]])
         return rest._replace(position=rest.position + self.lift * z, velocity=-self.speed * x[None])

@@ -16,12 +16,12 @@ import pytest
 from sweep.backends import devices
 from sweep.config.experiment import compose
 from sweep.dynamics import interface, tree
-from sweep.dynamics.step import join_components, split_into_components, state_at_rest, step
+from sweep.dynamics.step import pack_physics_state, state_at_rest, step, unpack_physics_state
 from sweep.engines import physics
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.models.drive import position_command
 from sweep.models.obstacles import PoleLedge
-from sweep.models.scene import native_model
+from sweep.models.scene import compile_native_model
 
 TICK, SAMPLE = 4e-3, 25  # s; ticks between two recorded poses
 SECONDS = 51.2
@@ -44,16 +44,16 @@ def case():
 def largest_error(recorded, case, width: int, seconds: float) -> np.ndarray:
     """How far (m) the base of each of `width` rollouts, started up to 1 um apart in height, was from the record."""
     devices.configure_jax()
-    top = interface.topology(case)
-    limits = physics.execution_limits(case, jnp.int32(0), TICK / 2)
+    top = interface.build_model_topology(case)
+    limits = physics.drive_limits_at_step(case, jnp.int32(0), TICK / 2)
 
     def start(offset):
         return state_at_rest(top, jnp.asarray(recorded["q0"], jnp.float32).at[2].add(offset))
 
     def one(state, reference):
         servo = position_command(case.drive, reference)
-        return join_components(
-            step(tree.tree_dynamics(case), case, limits, split_into_components(state), servo, TICK / 2, 2)[0]
+        return pack_physics_state(
+            step(tree.tree_dynamics(case), case, limits, unpack_physics_state(state), servo, TICK / 2, 2)[0]
         )
 
     batch = batch_last_vmap(one, (-1, None), devices.recomputation_cost_threshold())
@@ -90,7 +90,7 @@ def test_all_of_it_follows_the_record_in_a_batch(recorded, case):
 
 def test_native_passes(recorded, case):
     """C MuJoCo with our servos and its own contact ends on the ledge where the record does, never far from it."""
-    model = native_model(case, 1e-3)
+    model = compile_native_model(case, 1e-3)
     data = mujoco.MjData(model)
     data.qpos[:] = recorded["q0"]
     substeps, worst = round(TICK / model.opt.timestep), 0.0

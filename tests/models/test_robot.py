@@ -52,7 +52,7 @@ _compiled = {}
 
 def smooth_batch(nominal: Case, case: Case, q: np.ndarray, v: np.ndarray) -> tuple[dynamics.ModelTopology, Dense]:
     """The smooth dynamics of a batch; robots with the same links share one compiled program, as sweeps do."""
-    top = dynamics.topology(nominal)
+    top = dynamics.build_model_topology(nominal)
     model = mjx.put_model(top.model)
     if nominal.robot.legs not in _compiled:
         data = mjx.make_data(model)
@@ -61,7 +61,9 @@ def smooth_batch(nominal: Case, case: Case, q: np.ndarray, v: np.ndarray) -> tup
             return dense(partial(mjx_dynamics.smooth_dynamics, top, model.replace(**fields), data), q, v)
 
         _compiled[nominal.robot.legs] = jax.jit(jax.vmap(smooth))
-    fields = jax.vmap(partial(mjx_dynamics.varying_fields, top, model), in_axes=(devices.batch_axes(case),))(case)
+    fields = jax.vmap(
+        partial(mjx_dynamics.parameter_dependent_fields, top, model), in_axes=(devices.vmap_in_axes(case),)
+    )(case)
     mounted = jnp.broadcast_to(top.model.body_quat, (WIDTH, *top.model.body_quat.shape))
     return top, _compiled[nominal.robot.legs]({**fields, "body_quat": mounted}, q, v)
 
@@ -78,7 +80,7 @@ def test_swept_leaves_equal_fresh_models(name):
     top, batch = smooth_batch(nominal, case, q, v)
     for i in range(WIDTH):
         s = jax.tree.map(lambda x, i=i: np.asarray(x)[i], batch)
-        m = scene.compile_model(batching.select_row(case, i), geoms=False)
+        m = scene.compile_model(batching.rollout_parameters(case, i), geoms=False)
         d = mujoco.MjData(m)
         d.qpos, d.qvel = q[i], v[i]
         mujoco.mj_forward(m, d)

@@ -10,11 +10,11 @@ from sweep.backends import devices
 from sweep.config.experiment import compose
 from sweep.dynamics import interface as dynamics
 from sweep.dynamics import mjx as mjx_dynamics
-from sweep.dynamics.step import split_into_components, state_at_rest, step
+from sweep.dynamics.step import state_at_rest, step, unpack_physics_state
 from sweep.engines import physics
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.models.drive import ServoCommand, position_command
-from sweep.models.scene import native_model
+from sweep.models.scene import compile_native_model
 
 H = 1e-3
 CASE = compose([]).case
@@ -29,13 +29,13 @@ TORQUES = (-40.0, 0.0, 60.0, 400.0)  # N m, the last beyond the limit
 def one_step():
     """One step of a robot in the air, joint beta_3 given a torque only: its torque, and all joints' rates."""
     devices.configure_jax()
-    top = dynamics.topology(CASE)
+    top = dynamics.build_model_topology(CASE)
     smooth = mjx_dynamics.mjx_dynamics(top)(CASE)
     q = jnp.asarray(top.model.qpos0).at[2].set(9.0).at[1 + top.leg_dofs].set(ANGLES)
-    limits = physics.execution_limits(CASE, jnp.int32(0), H)
+    limits = physics.drive_limits_at_step(CASE, jnp.int32(0), H)
 
     def run(torque):
-        moving, report = step(smooth, CASE, limits, split_into_components(state_at_rest(top, q)), _order(torque), H, 3)
+        moving, report = step(smooth, CASE, limits, unpack_physics_state(state_at_rest(top, q)), _order(torque), H, 3)
         return report.torque[BETA_3[1]][BETA_3[0]], jnp.stack(moving.motion.leg, axis=-1)
 
     torques, rates = jax.jit(batch_last_vmap(run, (-1,), devices.recomputation_cost_threshold()))(jnp.array(TORQUES))
@@ -68,7 +68,7 @@ def test_the_limit_holds(one_step):
 
 def test_native_gives_the_same_rates(one_step):
     """C MuJoCo's servos with the gains of the joint changed."""
-    model = native_model(CASE, H)
+    model = compile_native_model(CASE, H)
     order = _order(60.0)
     gains = np.stack([np.asarray(order.stiffness), np.asarray(order.damping)], axis=-1).reshape(18, 2)
     model.actuator_biasprm[:, 1:3] = -gains

@@ -14,7 +14,7 @@ from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.core.parameters import parameters
 from sweep.dynamics import interface, tree
-from sweep.dynamics.step import join_components, split_into_components, state_at_rest, step
+from sweep.dynamics.step import pack_physics_state, state_at_rest, step, unpack_physics_state
 from sweep.engines import physics
 from sweep.models import scene
 from sweep.models.drive import position_command
@@ -43,7 +43,7 @@ def test_structure_gives_mujocos_blocks(name, double):
     """Mass matrix, bias, Jacobians and places of C MuJoCo's, to round-off of the largest number of each."""
     case, rng = case_of(name), np.random.default_rng(ROBOTS.index(name))
     with jax.enable_x64(True):  # or the model's sizes are rounded
-        top, model = interface.topology(case), scene.compile_model(case, geoms=False)
+        top, model = interface.build_model_topology(case), scene.compile_model(case, geoms=False)
     q, v = random_states(model, rng)
     with jax.enable_x64(double):
         batch = jax.jit(jax.vmap(lambda q, v: dense(tree.tree_dynamics(case), q, v)))(q, v)
@@ -74,7 +74,7 @@ def test_momentum_goes_where_forces_send_it(name):
     with jax.enable_x64(True):
         case, rng = case_of(name), np.random.default_rng(1)
         case = dataclasses.replace(case, contact=dataclasses.replace(case.contact, friction=0.3))
-        top, model = interface.topology(case), scene.compile_model(case, geoms=False)
+        top, model = interface.build_model_topology(case), scene.compile_model(case, geoms=False)
         data, nv = mujoco.MjData(model), model.nv
         q, v = random_states(model, rng)
         q[:, 3:7] = [1.0, 0.0, 0.0, 0.0]
@@ -86,15 +86,13 @@ def test_momentum_goes_where_forces_send_it(name):
             mujoco.mj_forward(model, data)
             state[2] += (5.05 if name == "slab" else 0.0) - np.median(data.site_xpos[top.foot_site_ids][:, 2])
         targets = q[:, 7:25].reshape(-1, 6, 3) + rng.normal(scale=2e-3, size=(STATES, 6, 3))
-        limits = physics.execution_limits(case, jnp.int32(0), H)
+        limits = physics.drive_limits_at_step(case, jnp.int32(0), H)
 
         def one(q, v, target):
             start = state_at_rest(top, q)._replace(v=v)
             servo = position_command(case.drive, target)
-            moving, report = step(
-                tree.tree_dynamics(case), case, limits, split_into_components(start), servo, H, ENOUGH
-            )
-            return join_components(moving).v, report
+            moving, report = step(tree.tree_dynamics(case), case, limits, unpack_physics_state(start), servo, H, ENOUGH)
+            return pack_physics_state(moving).v, report
 
         with jax.disable_jit():  # to compile it takes longer than to run it
             after, report = jax.vmap(one)(*map(jnp.asarray, (q, 0.1 * v, targets)))
@@ -126,4 +124,4 @@ def test_frame_of_a_free_body_is_at_its_mass_centre():
             spec.body("slab").ipos = [0, 0, 0.1]
 
     with pytest.raises(InputError, match="free body slab"):
-        interface.topology(dataclasses.replace(case_of("slab"), obstacle=Lopsided()))
+        interface.build_model_topology(dataclasses.replace(case_of("slab"), obstacle=Lopsided()))

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
-from sweep.models.obstacles.surface import BodyPoses, FreeState, RollingResistance, Surface
+from sweep.models.obstacles.surface import BodyPoses, FreeBodyState, RollingResistance, Surface
 
 FLOOR, WALL, BALL = range(3)
 UP, OUT = np.array([0.0, 0.0, 1.0]), np.array([-1.0, 0.0, 0.0])
@@ -45,7 +45,7 @@ class TwoBalls:
             "body_inertia": {name: jnp.full(3, 0.4) * mass * self.radius**2 for name, mass in masses.items()},
         }
 
-    def external_wrench(self, free: FreeState) -> Float[Array, "2 6"]:
+    def external_wrench(self, free: FreeBodyState) -> Float[Array, "2 6"]:
         """The spring."""
         return jnp.zeros((2, 6)).at[1, 0].set(-self.spring * free.position[1, 0])
 
@@ -96,7 +96,7 @@ class Rod:
             "site_pos": {"lower": -half, "upper": half},
         }
 
-    def external_wrench(self, free: FreeState) -> None:
+    def external_wrench(self, free: FreeBodyState) -> None:
         """Nothing beside weight and contact."""
 
     def surface(self, points: Float[Array, "n 3"], owner: tuple[int, ...], bodies: BodyPoses) -> Surface:

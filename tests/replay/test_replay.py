@@ -50,7 +50,7 @@ def folder(trace, tmp_path_factory):
             patch.setattr(place, "make_engine", lambda *_: StandInEngine(trace))
         exp = compose(["scenario=walk_tripod", "study.name=slip", f"engine.width={WIDTH}", AXIS])
         with store.lock_folder(folder):
-            runner.run_job(runner.prepare_job(exp, folder, runner.select_points(exp)), lambda rows: None)
+            runner.run_job(runner.prepare_job(exp, folder, runner.select_points_to_simulate(exp)), lambda rows: None)
         yield folder
 
 

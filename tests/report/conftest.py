@@ -12,9 +12,9 @@ def simulated(out, *overrides):
     """A study of the fake engine in the folder `out`; the exit status of the command."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sweep.engines, "make_engine", fake_engine.FakeEngine)
-        batches.forget_engine()
+        batches.clear_engine_cache()
         status = main(["run", "study=walk_map", "study.expect=[]", *overrides, f"out={out}"])
-        batches.forget_engine()
+        batches.clear_engine_cache()
     return status
 
 

@@ -14,7 +14,7 @@ from sweep.core.expressions import find_column
 from sweep.report.labels import axis_words, unique_headings, unique_labels
 from sweep.report.page.data import page_data
 from sweep.runs import results
-from sweep.study.study import name_axes
+from sweep.study.study import attach_axis_names
 
 DATA = Path(__file__).parents[1] / "data"
 
@@ -71,7 +71,7 @@ def test_an_axis_that_another_column_ends_like_is_ambiguous():
     rows = pd.DataFrame({"robot.body_mass": [1.0], "obstacle.mass": [2.0], "axis.shin": [0.1], "robot.shin": [0.2]})
     exp = compose(["study=walk_map", "+study.axes.mass={path: robot.body_mass, values: [10.0, 20.0]}"])
     with pytest.raises(InputError, match=r"column mass is ambiguous .*obstacle\.mass, robot\.body_mass"):
-        find_column(name_axes(rows, exp.study.axes), "mass")
+        find_column(attach_axis_names(rows, exp.study.axes), "mass")
     rows.attrs["axes"] = {"shin": "axis.shin"}
     assert find_column(rows, "shin") == "axis.shin"
 

@@ -16,7 +16,7 @@ from sweep.config.experiment import compose
 from sweep.core.outcomes import GOAL_MISSED
 from sweep.metrics.outcome import cause_meanings
 from sweep.report import figures, maps, sections
-from sweep.report.labels import kind_meaning
+from sweep.report.labels import explain_outcome_kind
 from sweep.runs import batches, results
 
 GAITS = [
@@ -94,7 +94,7 @@ def test_a_level_that_fails_at_the_nominal_point_is_reported(monkeypatch, tmp_pa
             return found | {"slip_max_m": slip, "slipped_time_s": np.where(slip > 0, 0.5, np.inf)}
 
     monkeypatch.setattr(sweep.engines, "make_engine", FailsByGallop)
-    batches.forget_engine()
+    batches.clear_engine_cache()
     line = "gait = gallop fails at the nominal point, before anything else is varied: a standing foot slipped by more"
     study = ["run", "study=walk_map", "study.expect=[]", *GAITS, "engine.width=6", f"out={tmp_path / 'walk'}"]
     assert main([*study, "--dry-run"]) == 0
@@ -103,7 +103,7 @@ def test_a_level_that_fails_at_the_nominal_point_is_reported(monkeypatch, tmp_pa
     assert "gait = tripod fails" not in told
     assert main(study) == 0
     assert line in capsys.readouterr().out
-    batches.forget_engine()
+    batches.clear_engine_cache()
 
 
 def test_describe_says_what_each_gait_is(capsys):
@@ -115,7 +115,7 @@ def test_describe_says_what_each_gait_is(capsys):
 
 def test_causes_print_the_values_of_their_thresholds():
     exp = compose(["scenario=walk_tripod", "outcome.slip_max_m=0.03"])
-    assert kind_meaning("slipped", exp) == "a standing foot slipped by more than 0.03 m (slip_max_m)"
+    assert explain_outcome_kind("slipped", exp) == "a standing foot slipped by more than 0.03 m (slip_max_m)"
     said = cause_meanings(exp.thresholds)
     keyed = [words for cause, words in said.items() if re.search(r"\b\w+_(max|min)\b", words) and cause != GOAL_MISSED]
     assert all(re.search(r"\d.*\(\w+\)$", words) for words in keyed), keyed

@@ -205,7 +205,7 @@ def test_replays_are_typical_then_at_the_boundary_then_extreme(folder):
 
 def test_rows_keep_slot_and_width_where_the_batch_is_not_too_wide():
     rows = pd.DataFrame({"group": 0, "batch": [0, 1, 1, 2], "slot": [5, 5, 6, 7], "width": [8, 8, 8, 4096]})
-    table = replays.pack_batches(rows, 512)
+    table = replays.pack_rows_into_batches(rows, 512)
     assert table["slot"].tolist() == [5, 5, 6, 0]
     assert table["width"].tolist() == [8, 8, 8, 1]
     assert not table.duplicated(["group", "batch", "width", "slot"]).any()

@@ -210,7 +210,7 @@ def test_kinds_are_named_by_what_the_map_shows(browser, tmp_path):
     assert set(names) == {"success", *(cause.replace("_", " ") for cause in FAILURE_MEANINGS)}
     left, top, width, height = (np.array(plot(browser)) - [*browser.place("#map-over")[:2], 0, 0]).tolist()
     whole = colours(browser)
-    x, y = (np.unique(rows[name], return_inverse=True) for name in found.listed_numeric_columns)
+    x, y = (np.unique(rows[name], return_inverse=True) for name in found.numeric_grid_columns)
     for number, name in enumerate(names):
         swatch = colours(browser, f"#kinds button:nth-child({number + 1}) canvas")
         place = list(rows["cause"]).index("" if name == "success" else name.replace(" ", "_"))

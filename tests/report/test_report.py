@@ -13,12 +13,12 @@ from sweep.analysis.expectations import unmet_expectations
 from sweep.analysis.stats import success_rate
 from sweep.config.experiment import compose
 from sweep.core.parameters import InputError
-from sweep.core.plot_style import PAGE_WIDTH_IN, legend_below, plot_style, save_figure
+from sweep.core.plot_style import PAGE_WIDTH_IN, add_legend_below, plot_style, save_figure
 from sweep.metrics.outcome import FAILURE_MEANINGS
 from sweep.report import maps, tables
 from sweep.report.cells import MapCells
 from sweep.report.outcome_style import marker_path
-from sweep.study.study import Expectation
+from sweep.study.study import RateExpectation
 
 EXP = compose(["study=walk_map"])
 STORED = {"config": EXP.values}
@@ -30,7 +30,7 @@ def rows():
     grid = pd.MultiIndex.from_product(
         [["mjx", "native"], np.linspace(0.2, 0.8, 4), [0.05, 0.1, 0.2]],
         names=["engine.name", "world.contact.friction", "manoeuvre.half_step_ratio"],
-    ).to_frame(index=False)
+    ).points_to_frame(index=False)
     slides = grid["world.contact.friction"] < 4 * grid["manoeuvre.half_step_ratio"]
     outcome = np.where(slides, "failure", "success").astype(object)
     outcome[[3, 15]] = "invalid"
@@ -50,9 +50,11 @@ def test_rate_counts_invalid_rows_apart():
 
 def test_expectations_look_at_valid_rows(rows):
     assert not unmet_expectations(
-        (Expectation(where="friction > 0.7 and half_step_ratio < 0.2", at_least=1.0),), rows, EXP
+        (RateExpectation(where="friction > 0.7 and half_step_ratio < 0.2", at_least=1.0),), rows, EXP
     )
-    assert len(unmet_expectations((Expectation(at_least=0.9), Expectation(where="friction > 9")), rows, EXP)) == 2
+    assert (
+        len(unmet_expectations((RateExpectation(at_least=0.9), RateExpectation(where="friction > 9")), rows, EXP)) == 2
+    )
 
 
 def test_expectations_of_a_search_weigh_its_rows_once(monkeypatch):
@@ -63,10 +65,10 @@ def test_expectations_of_a_search_weigh_its_rows_once(monkeypatch):
         calls.append(len(rows))
         return np.where(rows["outcome"] == "failure", 0.01, 1.0), np.zeros(len(rows))
 
-    monkeypatch.setattr(expectations.rare, "weights_of_draws_and_failures", weigh)
+    monkeypatch.setattr(expectations.rare, "draw_and_failure_weights", weigh)
     rows = pd.DataFrame({"outcome": ["success", "failure"] * 50, "x_m": np.arange(100.0)})
     exp = SimpleNamespace(study=SimpleNamespace(is_adaptive=True))
-    asked = tuple(Expectation(at_least=least) for least in (0.5, 0.95, 0.995))
+    asked = tuple(RateExpectation(at_least=least) for least in (0.5, 0.95, 0.995))
     lines = expectations.judge_expectations(asked, rows, exp)  # pyright: ignore[reportArgumentType]
     assert [bool(line) for line in lines] == [False, False, True]
     assert "got 0.9901 of 100" in lines[2]
@@ -162,7 +164,7 @@ def test_a_long_entry_of_a_legend_leaves_the_map_its_room(rows):
     figure = Figure(figsize=(PAGE_WIDTH_IN, 3.6), layout="constrained")
     axes = figure.subplots()
     with plot_style():
-        legend_below(
+        add_legend_below(
             figure, [Patch(label=one) for one in ("short", "words", "again", "others", "more", "a limit " * 8)]
         )
         figure.draw_without_rendering()
@@ -188,7 +190,7 @@ def test_theory_is_a_curve_over_the_map_and_what_it_limits_is_beside():
     """On a pole (2.1.8) is k = sqrt(4 eps^2 + 1) P / 4 N, with N = U / d_c: 46.8 N m / U for the base robot."""
     stored = {"config": compose(["study=pole_torque_map"]).values}
     names = ["drive.torque_limit", "world.contact.friction"]
-    grid = pd.MultiIndex.from_product([[60.0, 120.0, 180.0], [0.3, 0.6]], names=names).to_frame(index=False)
+    grid = pd.MultiIndex.from_product([[60.0, 120.0, 180.0], [0.3, 0.6]], names=names).points_to_frame(index=False)
     rows = grid.assign(outcome="success", cause="", stage="", friction_demand_mean=[0.3, 0.4] * 3)
     left, right = maps.success_map(rows, stored).axes[:2]
     for ax in (left, right):

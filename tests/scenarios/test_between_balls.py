@@ -13,7 +13,7 @@ from sweep.controllers.ball_state import centre_of_mass
 from sweep.controllers.layers import TickContext
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import MEASURED, stage_end_stances
-from sweep.controllers.reference_body_motion import ReferenceBodyMotion
+from sweep.controllers.reference_body_motion import FreeBodyReferenceMotion
 from sweep.core.errors import InputError
 from sweep.engines import make_engine
 from sweep.manoeuvres.balancing.ball import BallDrive
@@ -58,7 +58,7 @@ def planned(**numbers):
     """The way from ball to ball with numbers of its plan changed: where base and feet are at the ends of stages."""
     case = compose(["scenario=ball_to_ball"]).case
     for path, value in numbers.items():
-        case = replace(case, plan=case.plan.with_value(f"over.{path.replace('_', '.')}", value))
+        case = replace(case, plan=case.plan.replace_number(f"over.{path.replace('_', '.')}", value))
     plan = case.manoeuvre.plan(case)
     last = stage_end_stances(plan, replace(case.obstacle_of_type(TwoBalls), gap=0.0).start())
     at = {name: Stance(*(x[k] for x in last)) for k, name in enumerate(plan.names) if name.startswith("over.")}
@@ -152,7 +152,7 @@ def test_the_way_down_is_told_from_the_second_ball():
             np.asarray(plan.foot_frame[here]).tolist()
             == np.where(wanted == WORLD_FRAME, WORLD_FRAME, wanted + 2).tolist()
         )
-        mode, of_one = (np.asarray(of.find_layer(ReferenceBodyMotion).support.mode) for of in (plan, down))
+        mode, of_one = (np.asarray(of.find_layer(FreeBodyReferenceMotion).support.mode) for of in (plan, down))
         assert mode[here].tolist() == [MEASURED, of_one[there, 0]]
 
 
@@ -178,7 +178,7 @@ def test_feet_on_the_second_ball_close_the_gap():
     )
     seen = at_start(plan, free)
     now = TickContext(case.robot, plan, state.stage, state.stage, state.clock, jnp.ones(()), jnp.asarray(True), seen,
-              tracker.reference_body_state(plan, state, free)[0], 0.004, state.joints, case.noise)  # fmt: skip
+              tracker.stage_free_body_reference(plan, state, free)[0], 0.004, state.joints, case.noise)  # fmt: skip
     told = BallClosingLaw(press, 1.0).guide(case, now, state)
     radius, way = case.obstacle_of_type(TwoBalls).radius, gap + press
     eta, zeta = -np.asarray(feet)[4:, 0], np.asarray(feet)[4:, 2]
@@ -216,7 +216,7 @@ def test_the_plan_is_for_every_gap(gap):
 def test_what_the_checks_have_mended_succeeds(engine):
     """All three: the base goes on, a foot stands farther, another one nearer after a squat as low as may be."""
     trial = compose(["scenario=ball_to_ball", f"engine={engine}", "manoeuvre.spare=0.1"])
-    case = replace(trial.case, plan=trial.case.plan.with_value("over.front2.front.ahead", -0.2))
+    case = replace(trial.case, plan=trial.case.plan.replace_number("over.front2.front.ahead", -0.2))
     simulation = make_engine(replace(trial.settings, width=1), case, case, trial.thresholds)
     figures = simulation.run(case, case, np.arange(1))
     rows = {**figures, **classify(figures, trial.thresholds, simulation.stages)}

@@ -73,14 +73,16 @@ def load_command(name: str) -> CommandModule:
         module = point.load()
     except USER_CODE_ERRORS as error:
         raise InputError(
-            f"subcommand {name} of {providing_package(point)} cannot be imported: {format_user_exception(error)}"
+            f"subcommand {name} of {entry_point_package(point)} cannot be imported: {format_user_exception(error)}"
         ) from None
     if missing := [one for one in REQUIRED_MEMBERS if not hasattr(module, one)]:
-        raise InputError(f"subcommand {name} of {providing_package(point)}: {point.value} does not define {missing[0]}")
+        raise InputError(
+            f"subcommand {name} of {entry_point_package(point)}: {point.value} does not define {missing[0]}"
+        )
     return cast(CommandModule, module)
 
 
-def providing_package(point: metadata.EntryPoint) -> str:
+def entry_point_package(point: metadata.EntryPoint) -> str:
     """Return the name of the installed package that provides a subcommand's entry point."""
     return escape_control_characters(point.dist.name if point.dist else point.value)
 
@@ -147,7 +149,7 @@ def list_commands(width: int) -> str:
     if others := installed_commands():
         lines += [
             "of installed packages:",
-            *(format_command_entry(one, providing_package(at), width) for one, at in others.items()),
+            *(format_command_entry(one, entry_point_package(at), width) for one, at in others.items()),
             "",
         ]
     return "\n".join([*lines, "`sweep COMMAND --help` explains a command."])

@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from sweep.cli.arguments import add_folder, add_where, parse_names
+from sweep.cli.arguments import add_folder, add_where, parse_comma_separated_names
 from sweep.cli.command import Command, Section
 from sweep.cli.exits import DONE
 from sweep.core import terminal
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"--points = {args.points} is not allowed: at least 1")
     found = results.read_results(args.dir, args.where)
     device_choice.choose_device_for_folder(args.dir)
-    ways = parse_names(args.ways) or []
+    ways = parse_comma_separated_names(args.ways) or []
     most = 2 * args.points * len(ways or found.exp.system.audit_variants)
     with report_progress("audit", most, f"{found.exp.scenario} in other ways") as report:
         audit.run_audit(found, args.points, ways, report, lambda line: print(f"sweep: {line}", file=sys.stderr))
@@ -68,7 +68,7 @@ def run_on_engines(args: argparse.Namespace) -> int:
     most = MAX_ENGINE_ROWS if args.most is None else args.most
     if most < 1:
         raise InputError(f"--most = {most} is not allowed: at least 1")
-    found, engines = results.read_results(args.dir, args.where), parse_names(args.engines) or []
+    found, engines = results.read_results(args.dir, args.where), parse_comma_separated_names(args.engines) or []
     device_choice.choose_device_for_folder(args.dir)
     many = len(found.exp.system.engine_names if engines == [engine_audit.EVERY_ENGINE] else engines)
     with report_progress("audit", many * min(most, len(found.rows)), f"{found.exp.scenario} on engines") as report:

@@ -44,7 +44,9 @@ def run(args: argparse.Namespace) -> int:
         if getattr(args, name) < 0:
             raise InputError(f"--{name} = {getattr(args, name)} is not allowed: at least 0")
     lines = []
-    for line in measure_rows(compose(["scenario=walk_tripod"]).case, args.rollouts, args.width, tuple(args.rows)):
+    for line in measure_engine_speeds(
+        compose(["scenario=walk_tripod"]).case, args.rollouts, args.width, tuple(args.rows)
+    ):
         print(f"{line['engine']} {line['dynamics']}: {line['env-steps/s']:.4g} env-steps/s", file=sys.stderr)
         lines.append(line)
     print(MEASUREMENT_DESCRIPTION)
@@ -52,7 +54,9 @@ def run(args: argparse.Namespace) -> int:
     return DONE
 
 
-def measure_rows(nominal: "Case", rollouts: int, width: int, rows: tuple[str, ...]) -> Iterator[dict[str, Any]]:
+def measure_engine_speeds(
+    nominal: "Case", rollouts: int, width: int, rows: tuple[str, ...]
+) -> Iterator[dict[str, Any]]:
     """Yield the measured speed of each engine in `rows`; width 0 is the best for the device, rollouts 0 one batch."""
     from sweep.backends import program_cache
     from sweep.contract.engine_settings import EngineSettings
@@ -63,12 +67,12 @@ def measure_rows(nominal: "Case", rollouts: int, width: int, rows: tuple[str, ..
             dynamics="mjx" if name == "mjx" else "auto",
             name="native" if name == "native" else "mjx",
         )
-        with program_cache.without_cache():
+        with program_cache.disable_compilation_caches():
             line = _engine(settings, nominal, rollouts)
         yield line
 
 
-def walk_map_batches(nominal: "Case", rollouts: int, width: int) -> "list[tuple[Case, Case]]":
+def make_walk_map_batches(nominal: "Case", rollouts: int, width: int) -> "list[tuple[Case, Case]]":
     """Make batches of `width` (world and belief parameters) over the grid of the study walk_map, for at least
     `rollouts` points."""
     import numpy as np
@@ -98,13 +102,13 @@ def _engine(settings: "EngineSettings", nominal: "Case", rollouts: int) -> dict[
     rollouts = rollouts or engine.width
     if settings.name == "native":
         rollouts = min(rollouts, MAX_NATIVE_ROLLOUTS)
-    batches = walk_map_batches(nominal, rollouts, engine.width)
+    batches = make_walk_map_batches(nominal, rollouts, engine.width)
     streams = np.zeros(engine.width, int)
 
     def simulate(batch: "tuple[Case, Case]") -> float:
         return float(np.max(engine.run(*batch, streams)["duration_s"]))
 
-    first = measure_seconds(lambda: simulate(batches[0]))
+    first = measure_wall_time(lambda: simulate(batches[0]))
     start = time.perf_counter()
     seconds = sum(simulate(batch) for batch in batches)
     wall = time.perf_counter() - start
@@ -125,7 +129,7 @@ def _engine(settings: "EngineSettings", nominal: "Case", rollouts: int) -> dict[
     }
 
 
-def measure_seconds(work: Callable[[], object]) -> float:
+def measure_wall_time(work: Callable[[], object]) -> float:
     """Measure the wall time of `work` (s)."""
     start = time.perf_counter()
     work()

@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from sweep.cli.arguments import add_output, parse_names
+from sweep.cli.arguments import add_output, parse_comma_separated_names
 from sweep.cli.command import Command, Section
 from sweep.cli.exits import DONE, UNEXPECTED
 from sweep.core import terminal
@@ -87,22 +87,22 @@ def run(args: argparse.Namespace) -> int:
         from sweep.runs import device_choice
 
         device_choice.choose_device_for_folder(args.a)
-        print(anytime.compare_anytime(args, parse_names(args.by)))
+        print(anytime.compare_folders_sequentially(args, parse_comma_separated_names(args.by)))
         return DONE
     a, differ, broken = read_matching_rows(args.a, args.where_a), [], []
     for number, folder in enumerate(args.b):
         b = read_matching_rows(folder, args.where_b)
-        pairs = compare.pair_rows(a, b, parse_names(args.by))
+        pairs = compare.pair_rows(a, b, parse_comma_separated_names(args.by))
         if len(args.b) > 1:
             print(f"{chr(10) if number else ''}{args.a} and {folder}")
-        unit = compare.unit_numbers_of_pairs(pairs, results.load_experiment(args.a))
-        text = comparison.comparison_text(pairs, len(a), len(b), parse_names(args.regions), unit)
+        unit = compare.pair_sampling_unit_ids(pairs, results.load_experiment(args.a))
+        text = comparison.comparison_text(pairs, len(a), len(b), parse_comma_separated_names(args.regions), unit)
         required = ("pairs", "flips", "only A succeeds", "only B succeeds", "outcome", "outcome (B)")
         terminal.print_markdown(text + "\n", required)
         if line := comparison.first_difference_text(args.a, folder, args.histories):
             print(line)
         differ.append(compare.changed_pairs(pairs).assign(**({"B": str(folder)} if len(args.b) > 1 else {})))
-        broken += comparison.find_violations(pairs, len(a), args.tolerance, args.figures)
+        broken += comparison.list_tolerance_violations(pairs, len(a), args.tolerance, args.figures)
     if args.output:
         save_output(args.output, pd.concat(differ).to_csv(index=False).encode())
     for line in broken:

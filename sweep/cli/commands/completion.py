@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 from sweep.cli import commands
-from sweep.cli.choices import shipped_choices
+from sweep.cli.choices import shipped_group_choices
 from sweep.cli.command import Command, Section
 from sweep.cli.exits import DONE
 from sweep.core import project
@@ -57,7 +57,7 @@ def list_completions(before: list[str], word: str) -> list[str]:
     group, sign, _ = word.partition("=")
     if not sign:
         return [f"{one}=" for one in GROUPS]
-    names = {**shipped_choices(group), **project.project_files(group)} if group in GROUPS else {}
+    names = {**shipped_group_choices(group), **project.project_files(group)} if group in GROUPS else {}
     return [f"{group}={name}" for name in names]
 
 

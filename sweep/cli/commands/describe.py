@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     from sweep.config import reference
 
     try:
-        text = reference.parameters_page() if args.name is None else reference.describe_name(args.name)
+        text = reference.parameters_page() if args.name is None else reference.describe_parameter_or_column(args.name)
     except InputError as error:
         raise InputError(f"{error}{no_project_hint() if '=' in (args.name or '') else ''}") from None
     text = re.sub(r"(?<=[^\s|])\n(?=[^\s|#*-])", " ", text)  # paragraphs, which the terminal wraps to its own width

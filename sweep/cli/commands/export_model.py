@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     exported.check_exportable_to_mjcf(exp.case)
     folder, module = Path(exp.values["out"]), f"{exp.scenario}_policy"
     about = exported.make_exported_scenario(exp.case, exp.settings, exp.thresholds, "robot.mjb", f"{module}:policy")
-    spec = exported.make_spec(exp.case, exp.settings)
+    spec = exported.make_mujoco_spec(exp.case, exp.settings)
     model, case = spec.compile(), {key: value for key, value in exp.values.items() if key != "out"}
     texts = {
         "sweep.yaml": "# A sweep project, written by `sweep export-model`\nmodules: []\n",

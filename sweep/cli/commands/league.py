@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from sweep.cli.arguments import add_output, add_where, parse_names
+from sweep.cli.arguments import add_output, add_where, parse_comma_separated_names
 from sweep.cli.command import Command, Section
 from sweep.cli.exits import DONE
 from sweep.core.arguments import Arguments
@@ -61,9 +61,9 @@ def run(args: argparse.Namespace) -> int:
                 raise InputError(f"--{name} is not allowed with --anytime, which only decides pairs")
         print(policy_race.race_policies(args), end="")
         return DONE
-    read, unit, exp = policy_race.read_league(args)
-    league, by = policy_race.bin_conditions(read, parse_names(args.by) or [])
-    table, pairs = report.standings_of(league, args.level)
+    read, unit, exp = policy_race.read_policy_outcomes(args)
+    league, by = policy_race.bin_conditions(read, parse_comma_separated_names(args.by) or [])
+    table, pairs = report.standings_and_pair_table(league, args.level)
     text = report.format_league(league, table, pairs, args.level, unit, by)
     terminal.print_markdown(text, required=("policy", "share", "verdict", "a", "b"))
     if args.picture:

@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from sweep.cli.choices import shipped_choices
+from sweep.cli.choices import shipped_group_choices
 from sweep.cli.command import Command, Section
 from sweep.cli.exits import DONE
 from sweep.core import project, terminal
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
         return DONE
     group, words = (args.what[0], args.what[1:]) if args.what and args.what[0] in GROUPS else ("", args.what)
     groups = [group] if group else list(GROUPS)
-    shipped = {name: matching_choices(shipped_choices(name), words) for name in groups}
+    shipped = {name: matching_choices(shipped_group_choices(name), words) for name in groups}
     own = {
         name: matching_choices(
             {k: project.first_comment(file) for k, file in project.project_files(name).items()}, words
@@ -50,9 +50,9 @@ def run(args: argparse.Namespace) -> int:
     if not any(shipped.values()) and not any(own.values()):
         where = f"{group} that matches {' '.join(words)}" if group else f"group or choice called {' '.join(words)}"
         raise InputError(f"there is no {where}, and no folder of that name: `sweep list` shows the groups")
-    lines = format_groups(shipped, brief=not args.what)
+    lines = format_group_choices(shipped, brief=not args.what)
     if any(own.values()):
-        lines += ["", f"of this project, {project.find_project()}", *format_groups(own)]
+        lines += ["", f"of this project, {project.find_project()}", *format_group_choices(own)]
     if not args.what:
         lines += [
             "",
@@ -69,7 +69,7 @@ def matching_choices(choices: Mapping[str, str], words: Sequence[str]) -> dict[s
     }
 
 
-def format_groups(groups: Mapping[str, Mapping[str, str]], brief: bool = False) -> list[str]:
+def format_group_choices(groups: Mapping[str, Mapping[str, str]], brief: bool = False) -> list[str]:
     """Format choices by group as lines, leaving out empty groups.
 
     Args:

@@ -70,10 +70,10 @@ def run(args: argparse.Namespace) -> int:
     from sweep.cli.rows import save_output
     from sweep.core import terminal
 
-    answer = study_size.answer_question(args)
-    terminal.print_markdown(study_size.format_answer(answer))
+    answer = study_size.compute_study_size(args)
+    terminal.print_markdown(study_size.format_size_estimate(answer))
     if args.picture:
-        study_size.save_picture(answer, args.picture)
+        study_size.save_size_plot(answer, args.picture)
     if args.output:
-        save_output(args.output, f"{json.dumps(study_size.answer_data(answer), indent=1)}\n".encode())
+        save_output(args.output, f"{json.dumps(study_size.size_estimate_json_values(answer), indent=1)}\n".encode())
     return DONE

@@ -32,6 +32,6 @@ def run(args: argparse.Namespace) -> int:
     if len(changes) < len(args.thresholds):
         raise InputError(f"a threshold is given twice: {' '.join(args.thresholds)}")
     with store.lock_folder(args.dir):
-        runner.relabel(args.dir, {**exp.values["outcome"], **changes})
+        runner.relabel_folder(args.dir, {**exp.values["outcome"], **changes})
     print(study_headline(store.read_rows(args.dir), exp))
     return DONE

@@ -37,9 +37,9 @@ def run(args: argparse.Namespace) -> int:
     check_options(args)
     from sweep.contract.trace_frames import frames_at_rate
     from sweep.core.plot_style import save_figure
-    from sweep.core.progress import show_counts, show_elapsed_time
+    from sweep.core.progress import show_elapsed_time, show_progress_counts
     from sweep.replay.rendering import VIDEO_RATE, write_png, write_video
-    from sweep.replay.replay import format_comparison, replay_rollout, state_table
+    from sweep.replay.replay import format_comparison_with_stored, replay_rollout, state_table
     from sweep.runs import device_choice, results
 
     system = results.load_experiment(args.folder).system
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     device_choice.choose_device_for_folder(args.folder)
     with show_elapsed_time(f"simulating {args.point} of {args.folder} in its batch"):
         result = replay_rollout(args.folder, args.point)
-    print(format_comparison(result))
+    print(format_comparison_with_stored(result))
     for path in (args.mcap, args.video, args.output, args.states, args.model):
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
         write_png(args.png, result.trace, came)
     if args.video:
         pictures = len(frames_at_rate(result.trace, VIDEO_RATE))
-        with show_counts(lambda done, of: f"{done} of {of} pictures drawn", 0, pictures) as report:
+        with show_progress_counts(lambda done, of: f"{done} of {of} pictures drawn", 0, pictures) as report:
             write_video(args.video, result.trace, f"row {result.stored.name}", came, report)
     return DONE
 

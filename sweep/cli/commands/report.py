@@ -46,7 +46,7 @@ def add_arguments(parser: Arguments) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the HTML page of a study, and pictures of its map or of the overview of its draws."""
     from sweep.core.expressions import find_column
-    from sweep.core.progress import show_counts
+    from sweep.core.progress import show_progress_counts
     from sweep.report import maps, page, replay_selection, replays, representative
     from sweep.runs import device_choice, results
 
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     every = bool(args.b or args.replays or args.pictures)
     found, folder = results.read_results(args.dir, args.where, with_bookkeeping=every), args.output or args.dir
     if args.b:
-        return write_pairs_page(args, found, folder)
+        return write_comparison_page(args, found, folder)
     columns = tuple(find_column(found.rows, name) for name in (args.x, args.y) if name)
     if columns:
         maps.map_axes(found.rows, columns)  # refuses before anything is written
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         representative.draw_pictures(found)
     if args.replays:
         device_choice.choose_device_for_folder(args.dir)
-        with show_counts(print_replay_progress, 0, args.replays) as report:
+        with show_progress_counts(format_replay_progress, 0, args.replays) as report:
             replays.make_replays(found, replay_selection.choose_replays(found, args.replays), report)
     print(page.write_page(found, path_inside_folder(folder, "report.html"), chosen=columns))
     for path in save_pictures(found, folder, columns):
@@ -72,16 +72,16 @@ def run(args: argparse.Namespace) -> int:
     return DONE
 
 
-def print_replay_progress(done: int, total: int) -> str:
+def format_replay_progress(done: int, total: int) -> str:
     """Print the progress of simulating rollouts again."""
     return f"{done} of {total} rollouts simulated again"
 
 
-def write_pairs_page(args: argparse.Namespace, a: "Results", folder: Path) -> int:
+def write_comparison_page(args: argparse.Namespace, a: "Results", folder: Path) -> int:
     """Write the page that compares two folders."""
     from sweep.analysis import compare
-    from sweep.cli.policy_race import name_folders
-    from sweep.core.progress import show_counts
+    from sweep.cli.policy_race import shortest_distinct_folder_names
+    from sweep.core.progress import show_progress_counts
     from sweep.report import page, pairs
     from sweep.runs import device_choice, results
 
@@ -89,18 +89,18 @@ def write_pairs_page(args: argparse.Namespace, a: "Results", folder: Path) -> in
         raise InputError("--pictures, --x and --y are not allowed with a second folder")
     b = results.read_results(args.b, args.where)
     found, table = pairs.join_pairs(a, b)
-    unit = compare.unit_numbers_of_pairs(table, a.exp)
+    unit = compare.pair_sampling_unit_ids(table, a.exp)
     if args.replays:
         device_choice.choose_device_for_folder(args.dir)
-        with show_counts(print_replay_progress, 0, args.replays) as report:
+        with show_progress_counts(format_replay_progress, 0, args.replays) as report:
             pairs.replay_flipped_pairs(a, b, args.replays, report)
-    about = page.PairsContent(
+    about = page.ComparisonPageContent(
         f"{a.name} and {b.name}" if a.name != b.name else f"{a.name}: two runs",
         pairs.pairs_headline(table, args.dir, args.b, unit),
         list(pairs.difference_figure(found, table)),
         list(pairs.pairs_tables(table, unit)),
         pairs.split_sides(table),
-        tuple(name_folders([args.dir, args.b])),
+        tuple(shortest_distinct_folder_names([args.dir, args.b])),
     )
     path = path_inside_folder(folder, f"report_{args.b.resolve().name}.html")
     print(page.write_page(found, path, shown=list(pairs.read_pair_replays(a, b)), pairs=about))

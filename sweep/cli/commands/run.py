@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
         if exp.cluster.kind == "local" and not several:
             device_choice.choose_device_for_run(exp)
         if exp.settings.name == "mjx" and not args.dry_run and not exp.cluster.is_remote:
-            devices.start_device_search()
+            devices.search_devices_in_background()
         from sweep.cli.execution import (  # takes another, which what is wrong need not wait for
             RunFlags,
             execute_experiment,

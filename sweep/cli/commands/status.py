@@ -18,7 +18,7 @@ def add_arguments(parser: Arguments) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print how many rollouts are planned and done, and their outcomes."""
-    from sweep.analysis.stats import cause_lines
+    from sweep.analysis.stats import format_cause_counts
     from sweep.report.headline import study_headline
     from sweep.runs import results, store
 
@@ -33,6 +33,6 @@ def run(args: argparse.Namespace) -> int:
         if exp.study.is_adaptive:
             lines.append(study_headline(rows, exp))
         lines.append(", ".join(f"{number} {outcome}" for outcome, number in rows["outcome"].value_counts().items()))
-        lines += [f"  {line}" for line in cause_lines(rows["cause"], meanings)]
+        lines += [f"  {line}" for line in format_cause_counts(rows["cause"], meanings)]
     terminal.print_markdown("\n".join(lines) + "\n")
     return DONE

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from sweep.cli.arguments import add_folder, add_output, add_where, parse_names
+from sweep.cli.arguments import add_folder, add_output, add_where, parse_comma_separated_names
 from sweep.cli.command import Command, Section
 from sweep.cli.exits import DONE
 from sweep.core import terminal
@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     if args.format == "parquet" and not args.output:
         raise InputError("--format parquet needs a file: -o FILE")
     exp = results.load_experiment(args.dir)
-    empty, names = results.empty_rows(args.dir, exp), parse_names(args.columns)
+    empty, names = results.make_empty_row_table(args.dir, exp), parse_comma_separated_names(args.columns)
     chosen = tables.choose_columns(empty, args.format, names)
     if args.format in ("csv", "parquet"):
         write_rows(args, exp, empty[chosen])
@@ -66,7 +66,7 @@ def write_rows(args: argparse.Namespace, exp: "Experiment", empty: "pd.DataFrame
     Args:
         args: Arguments of the subcommand.
         exp: Experiment of the folder.
-        empty: A table without rows that has the columns to write, see `results.empty_rows`.
+        empty: A table without rows that has the columns to write, see `results.make_empty_row_table`.
     """
     from sweep.cli.rows import save_output, warn_of_no_match
     from sweep.report import tables
@@ -81,7 +81,7 @@ def write_rows(args: argparse.Namespace, exp: "Experiment", empty: "pd.DataFrame
             warn_of_no_match(args.dir, args.where, total)
 
     if args.format == "parquet":
-        save_output(args.output, tables.parquet_pieces(parts(), empty))
+        save_output(args.output, tables.iter_parquet_bytes(parts(), empty))
         return
     pieces = (tables.csv_bytes(rows, header=not k) for k, rows in enumerate(parts()))
     if args.output:

@@ -41,10 +41,10 @@ def run(args: argparse.Namespace) -> int:
 
     if not 0 < args.error_rate < 0.5:
         raise InputError(f"--error-rate = {args.error_rate:g} is not allowed: above 0 and below 0.5")
-    found = real_trials.compare_trials(args.file, args.dir, args.error_rate)
-    terminal.print_markdown(real_trials.format_trials(found))
+    found = real_trials.compare_trials_with_simulation(args.file, args.dir, args.error_rate)
+    terminal.print_markdown(real_trials.format_trials_comparison(found))
     if args.picture:
-        real_trials.save_picture(found, args.picture)
+        real_trials.save_reliability_plot(found, args.picture)
     if args.output:
         save_output(args.output, found.trials.to_csv(index=False).encode())
     return DONE

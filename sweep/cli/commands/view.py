@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     from sweep.runs import store
 
     for name in (args.what[0], *args.beside[:-1][:1]):  # one word alone is a row of the same folder
-        if "=" not in name and store.STUDY_FILE not in playback.file_names(name):
+        if "=" not in name and store.STUDY_FILE not in playback.list_file_names(name):
             raise InputError(f"{name} is neither a folder of results nor group.name=value")
     if args.mujoco:
         if not has_screen():
@@ -58,8 +58,10 @@ def run(args: argparse.Namespace) -> int:
             raise InputError(f"{' '.join(args.what)} cannot be shown")
         playback.play_in_viewer(trace)
         return DONE
-    of_folder = store.STUDY_FILE in playback.file_names(args.what[0])
-    found, shown = (playback.open_study if of_folder else playback.simulate_configuration)(args.what, args.beside)
+    of_folder = store.STUDY_FILE in playback.list_file_names(args.what[0])
+    found, shown = (playback.read_results_and_replays if of_folder else playback.simulate_configuration)(
+        args.what, args.beside
+    )
     path = args.output or (
         path_inside_folder(Path(args.what[0]), "view.html")
         if of_folder

@@ -5,22 +5,22 @@ from typing import Any, NamedTuple
 from sweep.core.metric import Array, CommonRollout, CommonStart, CommonTick, Metric, array_namespace
 
 
-class Tilt(NamedTuple):
+class TiltState(NamedTuple):
     """State of the tilt metric: largest tilt so far (deg), and the last orientation of the base."""
 
     largest_tilt: Array
     quat: Array
 
 
-def begin(start: CommonStart) -> Tilt:
+def begin(start: CommonStart) -> TiltState:
     """Return the initial state: no tilt yet."""
-    return Tilt(start.constant_state(0.0), start.base_quat)
+    return TiltState(start.constant_state(0.0), start.base_quat)
 
 
-def update(state: Tilt, ctx: CommonTick) -> Tilt:
+def update(state: TiltState, ctx: CommonTick) -> TiltState:
     """Update the largest tilt (deg) and the base's last orientation."""
     tilt = ctx.tilt_deg
-    return Tilt(array_namespace(tilt).maximum(state.largest_tilt, tilt), ctx.base_quat[..., -1, :])
+    return TiltState(array_namespace(tilt).maximum(state.largest_tilt, tilt), ctx.base_quat[..., -1, :])
 
 
 def tilt_deg(quat: Array, xp: Any) -> Array:
@@ -37,7 +37,7 @@ def tilt_deg(quat: Array, xp: Any) -> Array:
     return xp.degrees(xp.arctan2(xp.sqrt(x**2 + y**2 + 1e-14), xp.sqrt(w**2 + z**2 + 1e-14)) * 2)
 
 
-def compute(state: Tilt, rollout: CommonRollout) -> dict[str, Array]:
+def compute(state: TiltState, rollout: CommonRollout) -> dict[str, Array]:
     """Return the largest and the final tilt (deg), by column."""
     xp = array_namespace(state.quat)
     return {"tilt_max_deg": state.largest_tilt, "end_tilt_deg": tilt_deg(xp.moveaxis(state.quat, -1, 0), xp)}

@@ -5,24 +5,24 @@ from typing import NamedTuple
 from sweep.core.metric import Array, CommonStart, CommonTick, Metric, array_namespace
 
 
-class Path(NamedTuple):
+class PathLengthState(NamedTuple):
     """State of the path-length metric: current position of the base, and the length of its path so far (m)."""
 
     position: Array
     length: Array
 
 
-def begin(start: CommonStart) -> Path:
+def begin(start: CommonStart) -> PathLengthState:
     """Return the initial state: the base at its start, with a path of length 0."""
-    return Path(start.base_position, start.constant_state(0.0))
+    return PathLengthState(start.base_position, start.constant_state(0.0))
 
 
-def update(state: Path, ctx: CommonTick) -> Path:
+def update(state: PathLengthState, ctx: CommonTick) -> PathLengthState:
     """Add the distances between successive positions of the base to the path length."""
     samples = ctx.base_position
     xp = array_namespace(samples)
     steps = samples - xp.concatenate([state.position[..., None, :], samples[..., :-1, :]], axis=-2)
-    return Path(samples[..., -1, :], state.length + xp.linalg.norm(steps, axis=-1).sum(axis=-1))
+    return PathLengthState(samples[..., -1, :], state.length + xp.linalg.norm(steps, axis=-1).sum(axis=-1))
 
 
 METRIC = Metric(

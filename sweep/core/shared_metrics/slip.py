@@ -5,23 +5,23 @@ from typing import NamedTuple
 from sweep.core.metric import Array, CommonStart, CommonTick, Metric, TouchdownPoints, array_namespace
 
 
-class Slip(NamedTuple):
+class SlipState(NamedTuple):
     """State of the slip metric: touchdown points of the feet, and the largest slip so far (m)."""
 
     touchdown_points: TouchdownPoints
     largest_slip: Array
 
 
-def begin(start: CommonStart) -> Slip:
+def begin(start: CommonStart) -> SlipState:
     """Return the initial state, in which no foot is loaded."""
-    return Slip(start.init_touchdown_points(), start.constant_state(0.0))
+    return SlipState(start.init_touchdown_points(), start.constant_state(0.0))
 
 
-def update(state: Slip, ctx: CommonTick) -> Slip:
+def update(state: SlipState, ctx: CommonTick) -> SlipState:
     """Update the touchdown points and the largest slip (m)."""
     holds, slips = state.touchdown_points.update(ctx)
     xp = array_namespace(slips)
-    return Slip(holds, xp.maximum(state.largest_slip, xp.max(slips, axis=-1)))
+    return SlipState(holds, xp.maximum(state.largest_slip, xp.max(slips, axis=-1)))
 
 
 METRIC = Metric(

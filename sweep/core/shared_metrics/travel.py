@@ -5,7 +5,7 @@ from typing import NamedTuple
 from sweep.core.metric import Array, CommonRollout, CommonStart, CommonTick, Metric, array_namespace
 
 
-class Travel(NamedTuple):
+class TravelState(NamedTuple):
     """State of the travel metrics: start and current position of the base (m), displacement along the command (m), time
     of motion (s).
 
@@ -18,24 +18,28 @@ class Travel(NamedTuple):
     motion_time: Array
 
 
-def begin(start: CommonStart) -> Travel:
+def begin(start: CommonStart) -> TravelState:
     """Return the initial state: the base at its start, without displacement."""
     zero = start.constant_state(0.0)
-    return Travel(start.base_position, start.base_position, zero if start.command_direction_varies else None, zero)
+    return TravelState(start.base_position, start.base_position, zero if start.command_direction_varies else None, zero)
 
 
-def update(state: Travel, ctx: CommonTick) -> Travel:
+def update(state: TravelState, ctx: CommonTick) -> TravelState:
     """Update the base's position, and add its displacement along the commanded direction."""
     way, moving = ctx.motion_along_command(state.position)
     total = None if state.command_displacement is None else state.command_displacement + way
-    return Travel(state.start_position, ctx.base_position[..., -1, :], total, state.motion_time + moving)
+    return TravelState(state.start_position, ctx.base_position[..., -1, :], total, state.motion_time + moving)
 
 
-def compute(state: Travel, rollout: CommonRollout) -> dict[str, Array]:
+def compute(state: TravelState, rollout: CommonRollout) -> dict[str, Array]:
     """Return the distances that the base covered (m), and its mean speed (m/s), by column."""
     between = state.position - state.start_position
     xp = array_namespace(between)
-    way = rollout.displacement_along(between) if state.command_displacement is None else state.command_displacement
+    way = (
+        rollout.displacement_along_command(between)
+        if state.command_displacement is None
+        else state.command_displacement
+    )
     return {
         "distance_m": xp.linalg.norm(between[..., :2], axis=-1),
         "travelled_m": way,

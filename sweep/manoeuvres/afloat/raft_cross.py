@@ -33,14 +33,14 @@ from sweep.manoeuvres.goals import ON_ITS_FEET
 from sweep.models.case import Case, Manoeuvre
 from sweep.models.frames import WORLD_FRAME, body_frame_number
 from sweep.models.legs import LEG_NAMES, LEGS
-from sweep.models.obstacles.charts import Chart, Number, stack_point
+from sweep.models.obstacles.charts import Chart, Number, stack_components
 from sweep.models.obstacles.raft import Raft
-from sweep.models.obstacles.surface import FreeState
+from sweep.models.obstacles.surface import FreeBodyState
 from sweep.models.posture import Stance
 from sweep.models.robot import total_mass
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.gaits import TRIPOD
-from sweep.planning.moves import Move, MoveContext, make_standing, move_stages, part_stages, read_moves
+from sweep.planning.moves import Move, MoveContext, make_standing_state, move_stages, plan_part_stages, read_moves
 
 HIPS = (-0.5, -0.5, 0.0, 0.0, 0.5, 0.5)  # a_r, ahead of the base's centre
 MARGIN = 0.1  # a_r, on both sides of an edge, without footholds
@@ -104,19 +104,19 @@ class RaftCross(Manoeuvre):
             (aboard[-1], "on_deck"), (reached[0], "on_deck_far"), (landed[-1], "by_far")))  # fmt: skip
         stride = (raft.length / length + reached_at - ashore) / self.steps
         pull = replace(reached[-1], feet={}, seconds=self.pull, support="pulled", law=PULL)
-        standing = make_standing(feet, 0.0)
+        standing = make_standing_state(feet, 0.0)
         approach, standing = move_stages(
             tripod_moves(first, self.approach, self.stride_ratio, "by_near", "near"), context, standing, "approach."
         )
-        board, standing = part_stages("board", context, standing)
-        push_off, standing = part_stages("push", context, standing, "")
-        walk_on, standing = part_stages("aboard", context, standing)
+        board, standing = plan_part_stages("board", context, standing)
+        push_off, standing = plan_part_stages("push", context, standing, "")
+        walk_on, standing = plan_part_stages("aboard", context, standing)
         walk, standing = move_stages(
             tripod_moves(ashore, self.steps, stride, "on_deck", "deck"), context, standing, "walk."
         )
-        (wait, *reach), standing = part_stages("reach", context, standing, "")
+        (wait, *reach), standing = plan_part_stages("reach", context, standing, "")
         pulls, standing = move_stages({f"pull{k + 1}": pull for k in range(self.pulls)}, context, standing, "")
-        land, standing = part_stages("land", context, standing)
+        land, standing = plan_part_stages("land", context, standing)
         leave = tripod_moves(end, self.leave, self.stride_ratio, "by_far", "far")
         walk_off, _ = move_stages(
             {name: replace(move, law=ASHORE) for name, move in leave.items()}, context, standing, "leave."
@@ -202,7 +202,7 @@ class RaftCross(Manoeuvre):
     def guide(self, belief: Case, ctx: TickContext, state: TrackerState) -> Guidance:
         """Return the planned stance, shifted so that the robot lands where the raft has actually arrived."""
         plan, stage, free = ctx.plan, ctx.stage, ctx.obs.free
-        gap = jnp.min(far_gaps(belief.obstacle_of_type(Raft), free))
+        gap = jnp.min(far_bank_gaps(belief.obstacle_of_type(Raft), free))
         short = jnp.where((gap > self.near) & (gap < MARGIN * belief.robot.body_length), gap, 0.0)
         drift = jnp.stack([-short, self.drift_along_bank(plan, stage, free), jnp.zeros_like(short)])
         memory = jnp.where(ctx.is_first_tick & is_guided_by_law(plan, stage, REACH), drift, state.memory)
@@ -213,7 +213,7 @@ class RaftCross(Manoeuvre):
         stance = reference_stance(replace(plan, position=position), stage, ctx.phase, state.feet, state.position, goal)
         return Guidance(stance, goal, memory)
 
-    def drift_along_bank(self, plan: Plan, stage: Int[Array, ""], free: FreeState) -> Float[Array, ""]:
+    def drift_along_bank(self, plan: Plan, stage: Int[Array, ""], free: FreeBodyState) -> Float[Array, ""]:
         """Return how far (m) along the bank the base's target has shifted from the planned landing place.
 
         On a raft that lies turned, a base ahead of its middle is also beside it.
@@ -230,14 +230,14 @@ class RaftCross(Manoeuvre):
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
         """Return whether the stage ends: the raft has arrived (or rests near the bank), or lies alongside."""
-        gaps = far_gaps(belief.obstacle_of_type(Raft), obs.free) + state.memory[0]
+        gaps = far_bank_gaps(belief.obstacle_of_type(Raft), obs.free) + state.memory[0]
         waits, pulls = is_guided_by_law(plan, state.stage, WAIT), is_guided_by_law(plan, state.stage, PULL)
         still = jnp.abs(obs.free.velocity[0, 0]) < self.slow
         met = (jnp.min(gaps) < self.near) | (still & (jnp.min(gaps) < MARGIN * belief.robot.body_length))
         return (waits & met) | (pulls & (jnp.max(gaps) < self.close) & still)
 
 
-def far_gaps(raft: Raft, free: FreeState) -> Float[Array, " 2"]:
+def far_bank_gaps(raft: Raft, free: FreeBodyState) -> Float[Array, " 2"]:
     """Return the distances from the corners of the raft's far side to the far bank (m)."""
     corners = jnp.stack([raft.half_size * jnp.array([1.0, side, 0.0]) for side in (-1.0, 1.0)])
     return raft.water_width - (free.position[0] + rotate(free.quat[0], corners))[:, 0]
@@ -257,7 +257,7 @@ def make_chart_beyond_edge(
     """
 
     def place(raft: Raft, side: float, unit: Number, depth: Number, ahead: Number) -> Float[Array, " 3"]:
-        return stack_point(edge + ahead * unit, middle + side * aside, up - depth)
+        return stack_components(edge + ahead * unit, middle + side * aside, up - depth)
 
     return Chart(("ahead",), place, frame)
 

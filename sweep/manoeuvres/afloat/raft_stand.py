@@ -11,7 +11,7 @@ from sweep.manoeuvres.goals import ON_ITS_FEET
 from sweep.manoeuvres.walking.walk import level_stance
 from sweep.models.case import Case, Manoeuvre
 from sweep.models.frames import body_frame_number
-from sweep.models.obstacles.charts import stack_point
+from sweep.models.obstacles.charts import stack_components
 from sweep.models.obstacles.raft import Raft
 from sweep.models.posture import Stance
 from sweep.planning.compile_plan import compile_plan
@@ -56,7 +56,7 @@ class RaftStand(Manoeuvre):
         stance, centres = level_stance(belief, self.spread_ratio * length, self.height_ratio * length)
         deck = free.position[0] + jnp.array([0.0, 0.0, 1.0]) * raft.half_size[2]
         start = Stance(deck + stance.feet, deck + stance.position, stance.quat)
-        displacement = stack_point(self.ahead, self.aside, 0.0)
+        displacement = stack_components(self.ahead, self.aside, 0.0)
         up, down = jnp.array([0.0, 0.0, 1.0]), jnp.array([0.0, 0.0, -1.0]) * self.deepening
         base = stance.position + raft.half_size[2] * up
         stages = [Stage("stand", 1.0, position=base, onset=REGRIP, foot_frames=DECK, base_frame=body_frame_number(0))]

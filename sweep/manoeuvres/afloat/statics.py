@@ -7,9 +7,9 @@ from jaxtyping import Array
 from sweep.core.constants import GRAVITY
 from sweep.core.errors import InputError
 from sweep.formulas.raft_statics import raft_equilibrium
-from sweep.fused.numbers import evaluate_plain_numbers
+from sweep.fused.numbers import evaluate_with_numpy
 from sweep.models.case import Case
-from sweep.models.obstacles.charts import stack_point
+from sweep.models.obstacles.charts import stack_components
 from sweep.models.obstacles.raft import CORNER_SIGNS, WATER_DENSITY, Raft
 from sweep.models.robot import total_mass
 from sweep.planning.validation import are_plain_numbers
@@ -29,7 +29,7 @@ def freeboard_and_draught(
     raft, load = belief.obstacle_of_type(Raft), total_mass(belief.robot)
     a, b, d = raft.half_size
     mass = raft.mass + load
-    place = load / mass * stack_point(*offset, d + height)
+    place = load / mass * stack_components(*offset, d + height)
     rest = raft_equilibrium(GRAVITY * mass, place, a, b, d, WATER_DENSITY * GRAVITY)
     corners = jnp.stack([x * a * rest.a31 + y * b * rest.a32 for x, y in CORNER_SIGNS])
     freeboard = d * rest.a33 - rest.depth
@@ -49,7 +49,7 @@ def require_floating(belief: Case, offset: tuple[float, float]) -> None:
     if not are_plain_numbers(belief.robot, belief.obstacle, belief.manoeuvre):
         return
     freeboard, draught = map(
-        float, evaluate_plain_numbers(lambda: freeboard_and_draught(belief, offset, 0.5 * belief.robot.body_length))
+        float, evaluate_with_numpy(lambda: freeboard_and_draught(belief, offset, 0.5 * belief.robot.body_length))
     )
     if freeboard > 0 and draught > 0:
         return

@@ -18,16 +18,16 @@ from sweep.controllers.ball_state import (
     UP,
     angular_momentum,
     ball_footholds,
-    base_shift,
+    base_shift_for_mass_centre,
     centre_of_mass,
-    lean_impulse,
     measured_stance,
+    momentum_cancelling_lean,
     rotate_footholds_backward,
-    swing_over_ball,
+    swing_foot_arc,
 )
 from sweep.controllers.layers import TickContext
 from sweep.controllers.observation import Observation
-from sweep.controllers.plan import CYCLE_A, GRIP, KEEP, REGRIP, Plan, Stage, SupportMotion, swing_progress
+from sweep.controllers.plan import CYCLE_A, GRIP, KEEP, REGRIP, Plan, Stage, SupportMotion, swing_progress_and_lift
 from sweep.controllers.tracker import Guidance, TrackerState
 from sweep.core.constants import GRAVITY
 from sweep.core.parameters import choice, count, parameters, quantity
@@ -132,7 +132,7 @@ def stand_pose(belief: Case, manoeuvre: OnBallManoeuvre) -> StandPose:
 def _balanced_base(robot: Robot, stance: Stance) -> Float[Array, " 3"]:
     """Position of the base (m) that puts the mass centre over the origin."""
     for _ in range(CENTRING_ITERATIONS):
-        move = base_shift(robot, stance, -centre_of_mass(robot, stance)[:2])
+        move = base_shift_for_mass_centre(robot, stance, -centre_of_mass(robot, stance)[:2])
         stance = stance._replace(position=stance.position.at[:2].add(move))
     return stance.position
 
@@ -228,9 +228,14 @@ class BallBalance(OnBallManoeuvre):
         robot, stance = belief.robot, measured_stance(belief.robot, obs)
         momentum = angular_momentum(robot, belief.obstacle_of_type(Ball), obs)
         off = (centre_of_mass(robot, stance) - obs.free.position[0])[:2]
-        pulse = lean_impulse(momentum, total_mass(robot)) / self.period
+        pulse = momentum_cancelling_lean(momentum, total_mass(robot)) / self.period
         place = memory.place.at[:2].add(memory.move)
-        return BalanceMemory(place, base_shift(robot, stance, -off), base_shift(robot, stance, pulse), momentum)
+        return BalanceMemory(
+            place,
+            base_shift_for_mass_centre(robot, stance, -off),
+            base_shift_for_mass_centre(robot, stance, pulse),
+            momentum,
+        )
 
     def _lean_tick(
         self, belief: Case, memory: BalanceMemory, state: TrackerState, obs: Observation, period: float
@@ -241,11 +246,16 @@ class BallBalance(OnBallManoeuvre):
         momentum = memory.momentum + share * (
             angular_momentum(robot, belief.obstacle_of_type(Ball), obs) - memory.momentum
         )
-        wanted = self.momentum_gain * lean_impulse(momentum, total_mass(robot)) - self.place_gain * free.position[0, :2]
+        wanted = (
+            self.momentum_gain * momentum_cancelling_lean(momentum, total_mass(robot))
+            - self.place_gain * free.position[0, :2]
+        )
         wanted = jnp.clip(wanted, -self.reach, self.reach)
         stance = Stance(rotate(free.quat, state.feet), memory.place, jnp.array(IDENTITY))
         off = wanted - centre_of_mass(robot, stance)[:2]
-        move = base_shift(robot, measured_stance(robot, obs), off)  # measured: commanded legs may be out of reach
+        move = base_shift_for_mass_centre(
+            robot, measured_stance(robot, obs), off
+        )  # measured: commanded legs may be out of reach
         step = jnp.minimum(1.0, period / self.lag) * move
         place = memory.place.at[:2].add(jnp.clip(step, -MAX_BASE_SPEED * period, MAX_BASE_SPEED * period))
         return memory._replace(place=place, momentum=momentum)
@@ -327,9 +337,11 @@ class BallDrive(OnBallManoeuvre):
     def plan(self, belief: Case) -> Plan:
         """Return the plan in which the two tripods step in turn on the ball."""
         pose = stand_pose(belief, self)
-        return compile_plan(stance_on_ball(belief, pose), self.step_stages(pose, "step"), self.patience, ease=self.ease)
+        return compile_plan(
+            stance_on_ball(belief, pose), self.tripod_step_stages(pose, "step"), self.patience, ease=self.ease
+        )
 
-    def step_stages(self, pose: StandPose, law: str, first_share: float = 1.0) -> list[Stage]:
+    def tripod_step_stages(self, pose: StandPose, law: str, first_share: float = 1.0) -> list[Stage]:
         """Return plan stages in which tripods step in turn on the ball.
         Standing feet move with the ball; swinging feet move in axes that follow its centre and its Koenig frame.
 
@@ -367,16 +379,16 @@ class BallDrive(OnBallManoeuvre):
         swings = plan.swing[stage][:, None]
         goal = jnp.where(ctx.is_first_tick, jnp.where(swings, landing, state.feet), state.goal)
         time = plan.duration[stage]
-        share, height = swing_progress(plan.curve.cycle[stage], jnp.zeros(()), phase)
+        share, height = swing_progress_and_lift(plan.curve.cycle[stage], jnp.zeros(()), phase)
         lift = height * self.lift_ratio * belief.robot.body_length
-        on_way = swing_over_ball(state.feet, goal, share, phase, lift)
+        on_way = swing_foot_arc(state.feet, goal, share, phase, lift)
         feet = jnp.where(swings, on_way, rotate(free.quat, state.feet))
         blend = jnp.minimum(1.0, 2 * phase)
         aside = memory.aside_before + blend**2 * (3 - 2 * blend) * (memory.aside - memory.aside_before)
         pulse = memory.push * time / self.step_time * stabilise_delta(time, 0.0, state.clock).pulse
         wanted = pulse * memory.along + aside * direction_left_of_path(memory)
         lengthwise = self.compensate == "both"
-        position = compensate_base(belief.robot, plan.position[stage], feet, wanted, lengthwise)
+        position = base_position_for_mass_centre(belief.robot, plan.position[stage], feet, wanted, lengthwise)
         feet = jnp.where(swings, feet, rotate(conjugate(free.quat), feet))
         return Guidance(Stance(feet, position, plan.quat[stage]), goal, memory)
 
@@ -399,7 +411,7 @@ class BallDrive(OnBallManoeuvre):
         lean = (
             speed**2
             * track.curvature
-            * lean_on_curve(belief, ball.radius + self.height_ratio * belief.robot.body_length)
+            * lateral_lean_per_curvature(belief, ball.radius + self.height_ratio * belief.robot.body_length)
         )
         aside = lean + self.aside_gain_before * before - self.aside_gain * track.left_offset
         planned = memory._replace(
@@ -415,7 +427,7 @@ def direction_left_of_path(memory: DriveMemory) -> Float[Array, " 2"]:
     return jnp.stack([-memory.along[1], memory.along[0]])
 
 
-def lean_on_curve(belief: Case, height: Array | float) -> Array | float:
+def lateral_lean_per_curvature(belief: Case, height: Array | float) -> Array | float:
     """Return the lateral lean (m) of the mass centre per curvature (1/m) of the ball's path at 1 m/s: (3.1.33).
 
     Args:
@@ -426,7 +438,7 @@ def lean_on_curve(belief: Case, height: Array | float) -> Array | float:
     return (ROLLING_INERTIA * ball.mass * ball.radius + mass * (ball.radius + height)) / (mass * GRAVITY)
 
 
-def compensate_base(
+def base_position_for_mass_centre(
     robot: Robot, balanced: Float[Array, " 3"], feet: Float[Array, "6 3"], wanted: Float[Array, " 2"], lengthwise: bool
 ) -> Float[Array, " 3"]:
     """Return the level base's position (m) that puts the robot's mass centre at a given horizontal place: (3.1.10).

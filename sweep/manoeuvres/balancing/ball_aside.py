@@ -15,7 +15,7 @@ from sweep.core.rotations import rotate
 from sweep.formulas.ball import ROLLING_INERTIA, lateral_mu
 from sweep.manoeuvres.balancing.ball import (
     OnBallManoeuvre,
-    compensate_base,
+    base_position_for_mass_centre,
     stance_on_ball,
     stand_pose,
     standing_stages,
@@ -76,16 +76,16 @@ class BallAside(OnBallManoeuvre):
         plan, stage, free = ctx.plan, ctx.stage, ctx.obs.free
         wanted_speed = jnp.where(stage == 0, self.speed, free.velocity[0, 1])  # while coasting, the measured speed
         wanted_speed = jnp.where(stage > 1, 0.0, wanted_speed)
-        push = self.gain * lateral_gain(belief, plan, self.period) * (wanted_speed - free.velocity[0, 1])
+        push = self.gain * lateral_lean_gain(belief, plan, self.period) * (wanted_speed - free.velocity[0, 1])
         push = jnp.where(ctx.is_first_tick, push, state.memory)
         aside = push * lateral_mu(self.period, jnp.minimum(state.clock, self.period)).mu
         feet = rotate(free.quat, state.feet)
         centre = jnp.stack([jnp.zeros_like(aside), aside])
-        position = compensate_base(belief.robot, plan.position[stage], feet, centre, lengthwise=True)
+        position = base_position_for_mass_centre(belief.robot, plan.position[stage], feet, centre, lengthwise=True)
         return Guidance(Stance(state.feet, position, plan.quat[stage]), state.feet, push)
 
 
-def lateral_gain(belief: Case, plan: Plan, period: Array | float) -> Array:
+def lateral_lean_gain(belief: Case, plan: Plan, period: Array | float) -> Array:
     """Return the gain k_l (s): lateral lean of the mass centre per change of the ball's speed within one stage.
 
     The mass centre's height is taken as the base's.

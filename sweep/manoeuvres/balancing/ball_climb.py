@@ -12,7 +12,7 @@ from sweep.core.errors import InputError
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.core.rotations import IDENTITY
 from sweep.formulas.ball_reach import max_ball
-from sweep.fused.numbers import evaluate_plain_numbers
+from sweep.fused.numbers import evaluate_with_numpy
 from sweep.manoeuvres.balancing.ball import ball_move_context, require_start_within_reach, stand_pose
 from sweep.manoeuvres.balancing.ball_ride import RIDE, RideUpLaw
 from sweep.manoeuvres.balancing.beside_ball import CALM, BesideBallManoeuvre
@@ -22,11 +22,11 @@ from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.charts import Number
 from sweep.models.posture import Stance
 from sweep.planning.compile_plan import compile_plan
-from sweep.planning.moves import MoveContext, StandingState, initial_stance, part_stages, read_numbers
+from sweep.planning.moves import MoveContext, StandingState, initial_stance, plan_part_stages, read_part_numbers
 from sweep.planning.validation import are_plain_numbers
 
 
-class PushSpeed(NamedTuple):
+class PushOffSpeed(NamedTuple):
     """Speed with which the robot pushes off to climb a ball, read from the part `push` of the plan file: (3.1.15)."""
 
     speed: Number  # of the ball, over the manoeuvre's `push_speed`
@@ -60,7 +60,7 @@ class BallClimb(BesideBallManoeuvre):
             InputError: the ball is too large, or the feet do not reach the floor, all plain numbers.
         """
         start, up = self.climb_stages(belief)
-        calm = self.stopping_drive.step_stages(stand_pose(belief, self), CALM)
+        calm = self.stopping_drive.tripod_step_stages(stand_pose(belief, self), CALM)
         return compile_plan(start, [*up, *calm], self.patience, ease=self.ease)
 
     def climb_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:
@@ -68,10 +68,12 @@ class BallClimb(BesideBallManoeuvre):
         self.validate(belief)
         require_start_within_reach(belief, lambda: self.start_stance_and_state(belief)[0])
         start, standing = self.start_stance_and_state(belief)
-        stages, standing = part_stages("approach", self.move_context(belief, self.deepening, (0.0, 0.0)), standing, "")
+        stages, standing = plan_part_stages(
+            "approach", self.move_context(belief, self.deepening, (0.0, 0.0)), standing, ""
+        )
         on_ball = self.move_context(belief, self.deepening + self.press, (self.press, self.squeeze))
         for part, prefix in (("hold", ""), ("ride", "ride."), ("stand", "")):
-            stages_of_part, standing = part_stages(part, on_ball, standing, prefix)
+            stages_of_part, standing = plan_part_stages(part, on_ball, standing, prefix)
             stages += stages_of_part
         return start, stages
 
@@ -91,7 +93,7 @@ class BallClimb(BesideBallManoeuvre):
             press: pressure of feet on the ball (m), see `Stage.press`.
         """
         radius = belief.obstacle_of_type(Ball).radius
-        speed = self.push_speed * read_numbers(PushSpeed, belief, "push").speed
+        speed = self.push_speed * read_part_numbers(PushOffSpeed, belief, "push").speed
         rolls = SupportMotion(TO_VELOCITY, jnp.zeros(3).at[0].set(speed), jnp.zeros(3).at[1].set(speed / radius))
         supports = {"free": (SupportMotion(),), "rests": (RESTS,), "rolls": (rolls,)}
         return ball_move_context(belief, radius, deepening, press, supports, (RIDE,))
@@ -107,7 +109,7 @@ class BallClimb(BesideBallManoeuvre):
         numbers = (robot.thigh, robot.shin, highest, robot.body_width, belief.contact.friction)
         if not are_plain_numbers(numbers, radius):
             return
-        most = float(evaluate_plain_numbers(lambda: max_ball(*numbers).R))
+        most = float(evaluate_with_numpy(lambda: max_ball(*numbers).R))
         if not radius <= most:
             raise InputError(
                 f"obstacle.radius = {radius:g} is not allowed: at most {most:.2f} m can be climbed by legs of "

@@ -33,10 +33,10 @@ from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.charts import Number
 from sweep.models.robot import total_mass
 from sweep.planning.compile_plan import compile_plan
-from sweep.planning.moves import Move, make_standing, move_stages, read_moves, read_numbers
+from sweep.planning.moves import Move, make_standing_state, move_stages, read_moves, read_part_numbers
 
 
-class StandCircle(NamedTuple):
+class FootholdCircle(NamedTuple):
     """Radius of the circle of footholds on top of the ball, read from the part `perch` of the plan file."""
 
     circle: Number  # radius of the circle of footholds on top, over the manoeuvre's
@@ -52,21 +52,21 @@ def ball_speed_at_floor(belief: Case, last: Move, time: Array) -> Array:
     """
     ball, distance = belief.obstacle_of_type(Ball), last.base["tangent"][1]
     rolls = ball_omega(total_mass(belief.robot), ball.mass, ball.radius, distance * ball.radius, jnp.pi / 2,
-                       jnp.pi / 2 - angle_from_top(last), -angle_from_top(last) / time, 0.0)  # fmt: skip
+                       jnp.pi / 2 - base_angle_from_top(last), -base_angle_from_top(last) / time, 0.0)  # fmt: skip
     return jnp.abs(rolls.omega) * ball.radius
 
 
-def angle_from_top(move: Move) -> Array:
+def base_angle_from_top(move: Move) -> Array:
     """Return the angle (rad) of the base from the ball's top after a move."""
     return jnp.radians(jnp.asarray(move.base["tangent"][0], float) - 90)
 
 
-def total_time(moves: Iterable[Move]) -> Array | float:
+def total_move_duration(moves: Iterable[Move]) -> Array | float:
     """Return the total duration (s) of moves."""
     return sum(0.0 if move.seconds is None else move.seconds for move in moves)
 
 
-def timed_moves(belief: Case, rate: Array | float) -> dict[str, Move]:
+def timed_descent_moves(belief: Case, rate: Array | float) -> dict[str, Move]:
     """Return the moves of the descent, with footholds and durations adapted to the rolling of the ball.
 
     At a constant rate down, the speed of the ball grows with the angle as 1 - cos.
@@ -80,10 +80,10 @@ def timed_moves(belief: Case, rate: Array | float) -> dict[str, Move]:
         (read_moves(belief, part) for part in ("top", "down", "off")),
     )
     last = list(down.values())[-1]
-    time = total_time(down.values()) / jnp.asarray(rate, float)
+    time = total_move_duration(down.values()) / jnp.asarray(rate, float)
     fastest = ball_speed_at_floor(belief, last, time)
-    stops = 0.5 * fastest * total_time(list(off.values())[:1])
-    end = angle_from_top(last)
+    stops = 0.5 * fastest * total_move_duration(list(off.values())[:1])
+    end = base_angle_from_top(last)
 
     def shift_feet(move: Move, angle: Array | float) -> Move:
         remaining = (end - jnp.sin(end)) - (angle - jnp.sin(angle))
@@ -95,7 +95,7 @@ def timed_moves(belief: Case, rate: Array | float) -> dict[str, Move]:
 
     on_top = {name: shift_feet(move, 0.0) for name, move in top.items()}
     rolling = {
-        name: shift_feet(replace(move, seconds=total_time([move]) / rate), angle_from_top(move))
+        name: shift_feet(replace(move, seconds=total_move_duration([move]) / rate), base_angle_from_top(move))
         for name, move in down.items()
     }
     return {**on_top, **rolling, **off}
@@ -115,7 +115,7 @@ class BallDescend(BesideBallManoeuvre):
 
     def stand_pose(self, belief: Case) -> StandPose:
         """Return the robot's pose on top of the ball, with its feet on the circle that the plan file gives."""
-        circle = self.circle_ratio * read_numbers(StandCircle, belief, "perch").circle
+        circle = self.circle_ratio * read_part_numbers(FootholdCircle, belief, "perch").circle
         return stand_pose(belief, replace(self, circle_ratio=circle))
 
     def plan(self, belief: Case) -> Plan:
@@ -126,7 +126,7 @@ class BallDescend(BesideBallManoeuvre):
         """
         pose = self.stand_pose(belief)
         require_start_within_reach(belief, lambda: stance_on_ball(belief, self.stand_pose(belief)))
-        calm = self.stopping_drive.step_stages(pose, CALM, first_share=0.5)
+        calm = self.stopping_drive.tripod_step_stages(pose, CALM, first_share=0.5)
         return compile_plan(
             stance_on_ball(belief, pose), [*calm, *self.descent_stages(belief)], self.patience, ease=self.ease
         )
@@ -142,7 +142,7 @@ class BallDescend(BesideBallManoeuvre):
         )
         feet = dict(zip(LEGS, self.stand_pose(belief).feet, strict=True))
         down, _ = move_stages(
-            timed_moves(belief, self.rate), context, make_standing(feet, 0.0, body_frame_number(0)), ""
+            timed_descent_moves(belief, self.rate), context, make_standing_state(feet, 0.0, body_frame_number(0)), ""
         )
         last = down[-1]
         halt = Stage("rest", self.rest, foot_frames=(koenig_frame_number(0),) * 6, base_frame=koenig_frame_number(0),

@@ -22,11 +22,11 @@ from sweep.manoeuvres.balancing.ball import (
     require_start_within_reach,
     stand_pose,
 )
-from sweep.manoeuvres.balancing.parts import DriveUntilArrivalLaw, ManoeuvreInParts
+from sweep.manoeuvres.balancing.parts import DriveUntilArrivalLaw, FeedbackLawManoeuvre
 from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
 from sweep.models.obstacles.ledges import Ledges
-from sweep.models.obstacles.surface import FreeState
+from sweep.models.obstacles.surface import FreeBodyState
 from sweep.models.posture import Stance
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.moves import (
@@ -35,8 +35,8 @@ from sweep.planning.moves import (
     initial_stance,
     mirror_move,
     move_stages,
-    part_stages,
-    placing_move,
+    plan_part_stages,
+    read_placement_move,
 )
 
 ROLLS, ON, OFF = "roll", "on", "off"
@@ -50,18 +50,18 @@ class WallDockingLaw(DriveUntilArrivalLaw):
     near: Array | float  # m, largest remaining distance to the wall
     calm: Array | float  # m/s, largest speed of a ball that rests there
 
-    def drive_law(self, belief: Case, free: FreeState) -> FeedbackLaw:
+    def drive_law(self, belief: Case, free: FreeBodyState) -> FeedbackLaw:
         """Return the law that rolls the ball to a goal behind the wall, to meet the wall at the docking speed."""
         return replace(self.drive, place=belief.obstacle_of_type(Ledges).far_wall_x + self.speed / self.drive.brake)
 
-    def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
+    def has_arrived(self, belief: Case, free: FreeBodyState) -> Bool[Array, ""]:
         """Return whether the ball is at the wall and nearly at rest."""
         remaining = belief.obstacle_of_type(Ledges).far_wall_x - free.position[0, 0]
         return (remaining < self.near) & (jnp.linalg.norm(free.velocity[0]) < self.calm)
 
 
 @parameters
-class BallLedges(OnBallManoeuvre, ManoeuvreInParts):
+class BallLedges(OnBallManoeuvre, FeedbackLawManoeuvre):
     """Step from a ledge on to a ball, roll it to the opposite wall, and step off on to the ledge there."""
 
     goal: ClassVar = {
@@ -95,14 +95,14 @@ class BallLedges(OnBallManoeuvre, ManoeuvreInParts):
         """
         require_start_within_reach(belief, lambda: self.start_stance_and_state(belief)[0])
         context, (stance, standing) = self.move_context(belief), self.start_stance_and_state(belief)
-        name, stands = placing_move(belief, "start")
+        name, stands = read_placement_move(belief, "start")
         stand = replace(stands, feet={})
         halt = replace(mirror_move(belief, stand, ()), seconds=1.0)
         stages, _ = move_stages({name: stand}, context, standing, "")
-        get_on, standing = part_stages("on", context, standing)
-        get_off, standing = part_stages("off", context, standing)
+        get_on, standing = plan_part_stages("on", context, standing)
+        get_off, standing = plan_part_stages("off", context, standing)
         last, _ = move_stages({"halt": halt}, context, standing, "")
-        rolling = self.roll_drive.step_stages(stand_pose(belief, self), ROLLS)
+        rolling = self.roll_drive.tripod_step_stages(stand_pose(belief, self), ROLLS)
         return compile_plan(stance, [*stages, *get_on, *rolling, *get_off, *last], self.patience, ease=self.ease)
 
     def start_stance_and_state(self, belief: Case) -> tuple[Stance, StandingState]:

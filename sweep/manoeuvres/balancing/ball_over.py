@@ -12,7 +12,7 @@ from sweep.manoeuvres.balancing.ball_climb import BallClimb
 from sweep.manoeuvres.balancing.ball_descend import BallDescend
 from sweep.manoeuvres.balancing.beside_ball import CALM, BesideBallManoeuvre
 from sweep.manoeuvres.balancing.parts import SettleBallLaw
-from sweep.manoeuvres.climbing.walking import AHEAD, REST_TO_REST, departure_stages, foot_centres_facing
+from sweep.manoeuvres.climbing.walking import AHEAD, REST_TO_REST, departure_stages, foot_offsets_from_base
 from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
 from sweep.models.frames import koenig_frame_number
@@ -50,12 +50,12 @@ class BallCrossing(BesideBallManoeuvre):
     default_plan_name = "ball_over"  # in R
 
     @property
-    def climb(self) -> BallClimb:
+    def climb_manoeuvre(self) -> BallClimb:
         """The manoeuvre `BallClimb` with this manoeuvre's parameters, which climbs the ball."""
         return BallClimb(**self._shared_parameters)
 
     @property
-    def descent(self) -> BallDescend:
+    def descent_manoeuvre(self) -> BallDescend:
         """The manoeuvre `BallDescend` with this manoeuvre's parameters, which descends from the ball."""
         return BallDescend(**self._shared_parameters)
 
@@ -71,7 +71,10 @@ class BallCrossing(BesideBallManoeuvre):
     @property
     def feedback_laws(self) -> Mapping[str, FeedbackLaw]:
         """Feedback laws by name: for riding up on the ball, stopping it, and rolling it."""
-        return {**self.climb.feedback_laws, DRIVE: SettleBallLaw(self.travel_drive, self.calm_speed, self.near)}
+        return {
+            **self.climb_manoeuvre.feedback_laws,
+            DRIVE: SettleBallLaw(self.travel_drive, self.calm_speed, self.near),
+        }
 
     def plan(self, belief: Case) -> Plan:
         """Return the plan: climb the ball, stop it, roll it, descend, walk away.
@@ -79,15 +82,15 @@ class BallCrossing(BesideBallManoeuvre):
         Raises:
             InputError: the ball is too large, or the feet do not reach the floor, all plain numbers.
         """
-        pose = self.descent.stand_pose(belief)
-        start, up = self.climb.climb_stages(belief)
-        calm = self.stopping_drive.step_stages(pose, CALM)
-        along = self.travel_drive.step_stages(pose, DRIVE)
-        down = self.descent.descent_stages(belief)
-        away = self.leave_stages(belief)
+        pose = self.descent_manoeuvre.stand_pose(belief)
+        start, up = self.climb_manoeuvre.climb_stages(belief)
+        calm = self.stopping_drive.tripod_step_stages(pose, CALM)
+        along = self.travel_drive.tripod_step_stages(pose, DRIVE)
+        down = self.descent_manoeuvre.descent_stages(belief)
+        away = self.walk_away_stages(belief)
         return compile_plan(start, [*up, *calm, *along, *down, *away], self.patience, ease=self.ease)
 
-    def leave_stages(self, belief: Case) -> list[Stage]:
+    def walk_away_stages(self, belief: Case) -> list[Stage]:
         """Return the plan stages that walk away by tripod, relative to a ball that is assumed to stay in place."""
         radius, length = belief.obstacle_of_type(Ball).radius, belief.robot.body_length
         height, spread = self.hips_ratio * length, self.spread_ratio * length
@@ -95,7 +98,7 @@ class BallCrossing(BesideBallManoeuvre):
         *_, last = read_moves(belief, "off").values()
         stood = tangent_base_position(belief.obstacle_of_type(Ball), 1.0, radius, 0.0, *last.base["tangent"])
         position = stood.at[0].add(step.half_length).at[2].set(height - radius)  # clear of the ball
-        under = position + foot_centres_facing(belief, spread, height, AHEAD)
+        under = position + foot_offsets_from_base(belief, spread, height, AHEAD)
         first = Stage("away.3-4", 1.0, {leg: under[leg - 1] for leg in LEG_PAIRS["middle"]}, CYCLE_B, 2 * step.height,
                       position=position, rates=REST_TO_REST)  # fmt: skip
         ready, walk = departure_stages(belief, step, position, spread, height, self.away, AHEAD)

@@ -14,33 +14,38 @@ from jaxtyping import Array, Bool, Float
 from sweep.controllers.layers import TickContext
 from sweep.controllers.observation import Observation
 from sweep.controllers.plan import TOGETHER, Plan, Stage, SupportMotion, reference_stance, stage_end_stances
-from sweep.controllers.reference_body_motion import ReferenceBodyMotion
+from sweep.controllers.reference_body_motion import FreeBodyReferenceMotion
 from sweep.controllers.tracker import FeedbackLaw, Guidance, TrackerState
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import conjugate, rotate
-from sweep.fused.numbers import evaluate_plain_numbers
+from sweep.fused.numbers import evaluate_with_numpy
 from sweep.manoeuvres.balancing.ball import BallDrive, OnBallManoeuvre, ball_move_context, stance_on_ball, stand_pose
 from sweep.manoeuvres.balancing.ball_descend import BallDescend
 from sweep.manoeuvres.balancing.ball_ride import rotation_about_y
 from sweep.manoeuvres.balancing.beside_ball import CALM
-from sweep.manoeuvres.balancing.checks import CheckLimits, correct_stages, mass_centre_margins, next_support
-from sweep.manoeuvres.balancing.parts import DriveUntilArrivalLaw, ManoeuvreInParts, SingleBallLaw
+from sweep.manoeuvres.balancing.checks import (
+    ReachAndSupportLimits,
+    enforce_reach_and_support,
+    mass_centre_margins,
+    support_at_stage_end,
+)
+from sweep.manoeuvres.balancing.parts import DriveUntilArrivalLaw, FeedbackLawManoeuvre, SingleBallLawAdapter
 from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
 from sweep.models.frames import body_frame_number
 from sweep.models.legs import LEGS
-from sweep.models.obstacles.surface import FreeState
+from sweep.models.obstacles.surface import FreeBodyState
 from sweep.models.obstacles.two_balls import TwoBalls
-from sweep.models.posture import leg_points
+from sweep.models.posture import leg_joint_positions
 from sweep.planning.compile_plan import compile_plan
-from sweep.planning.moves import make_standing, part_stages
+from sweep.planning.moves import make_standing_state, plan_part_stages
 from sweep.planning.validation import are_plain_numbers, require_within_reach, stances_at_stage_ends
 
 ROLLS, OVER = "roll", "over"
 
 
-def ball_gap(balls: TwoBalls, free: FreeState) -> Float[Array, ""]:
+def ball_gap(balls: TwoBalls, free: FreeBodyState) -> Float[Array, ""]:
     """Return the gap delta between the two balls along x (m).
 
     Args:
@@ -56,12 +61,12 @@ class BallDockingLaw(DriveUntilArrivalLaw):
 
     speed: Array | float  # m/s, on arrival
 
-    def drive_law(self, belief: Case, free: FreeState) -> FeedbackLaw:
+    def drive_law(self, belief: Case, free: FreeBodyState) -> FeedbackLaw:
         """Return the law that rolls the ball to a goal behind the second ball, to meet it at the docking speed."""
         place = free.position[0, 0] + ball_gap(belief.obstacle_of_type(TwoBalls), free) + self.speed / self.drive.brake
-        return SingleBallLaw(replace(self.drive, place=place), 0)
+        return SingleBallLawAdapter(replace(self.drive, place=place), 0)
 
-    def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
+    def has_arrived(self, belief: Case, free: FreeBodyState) -> Bool[Array, ""]:
         """Return whether the balls touch."""
         return ball_gap(belief.obstacle_of_type(TwoBalls), free) < 4e-3
 
@@ -94,7 +99,7 @@ class BallClosingLaw:
         memory: BallClosingMemory = state.memory
         gap = jnp.where(ctx.is_first_tick, gap, memory.gap)
         stance = reference_stance(plan, stage, ctx.phase, state.feet, state.position)
-        programme = plan.find_layer(ReferenceBodyMotion)
+        programme = plan.find_layer(FreeBodyReferenceMotion)
         assert programme is not None  # since it is how balls are brought together
         both = jnp.asarray(programme.support.mode)[stage, 0] == TOGETHER
         shift = jnp.where(both, ctx.phase * (gap + self.press), 0.0)
@@ -108,7 +113,7 @@ class BallClosingLaw:
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
         """Return whether the stage that moves the base must end because a standing leg is nearly straight."""
         robot, is_moving = belief.robot, ~jnp.any(plan.swing[state.stage])
-        points = leg_points(robot, obs.angles)
+        points = leg_joint_positions(robot, obs.angles)
         stretch = jnp.linalg.norm(points[:, -1] - points[:, -3], axis=-1)
         return is_moving & jnp.any(obs.loaded & (stretch > self.straight * (robot.thigh + robot.shin)))
 
@@ -116,13 +121,13 @@ class BallClosingLaw:
 MAX_CLOSING = 0.02  # m, gap that a stage closes at most
 
 
-def with_touching_balls(belief: Case) -> Case:
+def belief_with_touching_balls(belief: Case) -> Case:
     """Return the belief with two balls that touch, one directly behind the other."""
     return replace(belief, obstacle=replace(belief.obstacle_of_type(TwoBalls), gap=0.0, offset=0.0))
 
 
 @parameters
-class BallToBall(OnBallManoeuvre, ManoeuvreInParts):
+class BallToBall(OnBallManoeuvre, FeedbackLawManoeuvre):
     """Roll the first ball to the second, step over, and stop the second ball or get off it."""
 
     goal: ClassVar = {**UPRIGHT, "second_ball_speed_max_mps": 0.01}
@@ -160,13 +165,13 @@ class BallToBall(OnBallManoeuvre, ManoeuvreInParts):
             InputError: a foot is out of reach, or the mass centre is not over the support, all plain numbers.
         """
         self.validate(belief)
-        pose, down = stand_pose(belief, self), self.descent
-        calm = down.stopping_drive.step_stages(down.stand_pose(belief), CALM)
+        pose, down = stand_pose(belief, self), self.descent_manoeuvre
+        calm = down.stopping_drive.tripod_step_stages(down.stand_pose(belief), CALM)
         off = down.descent_stages(belief) if self.finish == "floor" else []
         stages = [
-            *self.roll_drive.step_stages(pose, ROLLS),
+            *self.roll_drive.tripod_step_stages(pose, ROLLS),
             *self.transfer_stages(belief),
-            *SingleBallLaw(down, 1).retarget_stages([*calm, *off]),
+            *SingleBallLawAdapter(down, 1).retarget_stages([*calm, *off]),
         ]
         return compile_plan(stance_on_ball(belief, pose), stages, self.patience, ease=self.ease)
 
@@ -178,9 +183,9 @@ class BallToBall(OnBallManoeuvre, ManoeuvreInParts):
         context = ball_move_context(
             belief, belief.robot.body_length, self.deepening, (self.press, self.squeeze), supports, (OVER,)
         )
-        stages = part_stages("over", context, make_standing(feet, 0.0, body_frame_number(0)))[0]
-        return correct_stages(with_touching_balls(belief), stance_on_ball(belief, pose), stages,
-                       CheckLimits(self.spare, self.straight, self.clear))  # fmt: skip
+        stages = plan_part_stages("over", context, make_standing_state(feet, 0.0, body_frame_number(0)))[0]
+        return enforce_reach_and_support(belief_with_touching_balls(belief), stance_on_ball(belief, pose), stages,
+                       ReachAndSupportLimits(self.spare, self.straight, self.clear))  # fmt: skip
 
     def validate(self, belief: Case) -> None:
         """Raise an error unless the stages from ball to ball keep reach and support; skip the check under JAX tracing.
@@ -191,13 +196,15 @@ class BallToBall(OnBallManoeuvre, ManoeuvreInParts):
         if not are_plain_numbers(belief.robot, belief.obstacle, self, belief.plan):
             return
 
-        start = with_touching_balls(belief).obstacle_of_type(TwoBalls).start
+        start = belief_with_touching_balls(belief).obstacle_of_type(TwoBalls).start
 
         def plan_and_margins() -> tuple[Plan, Array]:
             plan = compile_plan(stance_on_ball(belief, stand_pose(belief, self)), self.transfer_stages(belief), 0.0)
-            return plan, mass_centre_margins(belief.robot, stage_end_stances(plan, start()), next_support(plan.swing))
+            return plan, mass_centre_margins(
+                belief.robot, stage_end_stances(plan, start()), support_at_stage_end(plan.swing)
+            )
 
-        plan, inside = evaluate_plain_numbers(plan_and_margins)
+        plan, inside = evaluate_with_numpy(plan_and_margins)
         require_within_reach(belief, lambda: stances_at_stage_ends(plan, start()), f"{self.kind}: ")
         inside = inside.min(axis=0)
         if not inside.min() >= self.spare:
@@ -214,7 +221,7 @@ class BallToBall(OnBallManoeuvre, ManoeuvreInParts):
         )
 
     @property
-    def descent(self) -> BallDescend:
+    def descent_manoeuvre(self) -> BallDescend:
         """The manoeuvre that stops the second ball and gets down from it."""
         return BallDescend(calm=self.calm, calm_speed=self.calm_speed)
 
@@ -224,5 +231,5 @@ class BallToBall(OnBallManoeuvre, ManoeuvreInParts):
         return {
             ROLLS: BallDockingLaw(self.roll_drive, self.docking),
             OVER: BallClosingLaw(self.closing, self.straight),
-            **{name: SingleBallLaw(law, 1) for name, law in self.descent.feedback_laws.items()},
+            **{name: SingleBallLawAdapter(law, 1) for name, law in self.descent_manoeuvre.feedback_laws.items()},
         }

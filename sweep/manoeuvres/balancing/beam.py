@@ -20,11 +20,11 @@ from sweep.manoeuvres.goals import ARRIVED, UPRIGHT
 from sweep.models.case import Case, Manoeuvre
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.beam import Beam
-from sweep.models.obstacles.charts import stack_point
+from sweep.models.obstacles.charts import stack_components
 from sweep.models.posture import Stance, joint_targets, leg_mounts
 from sweep.models.robot import Robot
 from sweep.planning.compile_plan import compile_plan
-from sweep.planning.gaits import TRIPOD, GaitStep, initial_foot_offsets, regular_steps
+from sweep.planning.gaits import TRIPOD, GaitStep, initial_foot_offsets, regular_gait_stages
 
 DIAGONALS = ((1, 6), (2, 5))
 MIDDLE = (3, 4)
@@ -44,11 +44,11 @@ class BeamGeometry(NamedTuple):
     deepening: Array | float  # m, epsilon
     step: GaitStep
 
-    def base_at(self, y: Array | float) -> Float[Array, " 3"]:
+    def base_position_at(self, y: Array | float) -> Float[Array, " 3"]:
         """Return the planned position of the base (m) at coordinate `y` along the beam."""
-        return stack_point(0.0, y, self.ground + self.clearance)
+        return stack_components(0.0, y, self.ground + self.clearance)
 
-    def feet_at(self, y: Array | float, track: Array | float) -> Float[Array, "6 3"]:
+    def foot_positions_at(self, y: Array | float, track: Array | float) -> Float[Array, "6 3"]:
         """Return foot positions (m) beside the hips, each `track` (m) from the middle line, for a base at y."""
         depth = jnp.full(6, self.ground - self.deepening)
         return jnp.stack(
@@ -57,21 +57,21 @@ class BeamGeometry(NamedTuple):
 
     def swing_stage(self, name: str, legs: Sequence[int], feet: Float[Array, "6 3"], **more) -> Stage:
         """Return a plan stage in which the given legs step to their positions in `feet`."""
-        return Stage(name, self.step.time, values_by_leg(feet, legs), CYCLE_B, self.step.height, **more)
+        return Stage(name, self.step.time, rows_by_leg(feet, legs), CYCLE_B, self.step.height, **more)
 
     def joint_angles(self, y: Array | float, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
         """Return the joint angles (rad) that put the feet at given positions, for a base at y."""
-        return joint_targets(self.robot, Stance(feet, self.base_at(y), jnp.array(FACING_MINUS_Y)))[0]
+        return joint_targets(self.robot, Stance(feet, self.base_position_at(y), jnp.array(FACING_MINUS_Y)))[0]
 
-    def stretched_feet(self, y: Array | float) -> Float[Array, "6 3"]:
+    def stretched_foot_positions(self, y: Array | float) -> Float[Array, "6 3"]:
         """Return the feet of straight legs (m), level and out to the sides, for a base at y."""
         robot = self.robot
-        feet = self.feet_at(y, robot.body_width / 2 + robot.coxa + robot.thigh + robot.shin)
+        feet = self.foot_positions_at(y, robot.body_width / 2 + robot.coxa + robot.thigh + robot.shin)
         return feet.at[:, 2].set(self.ground + self.clearance)
 
-    def angles_beside_hips(self, out: Array | float, down: Array | float) -> Float[Array, "6 3"]:
+    def joint_angles_beside_hips(self, out: Array | float, down: Array | float) -> Float[Array, "6 3"]:
         """Return the joint angles (rad) with every foot `out` (m) outward from its hip and `down` (m) below it."""
-        feet = self.feet_at(0.0, self.robot.body_width / 2 + out)
+        feet = self.foot_positions_at(0.0, self.robot.body_width / 2 + out)
         return self.joint_angles(0.0, feet.at[:, 2].set(self.ground + self.clearance - down))
 
 
@@ -112,8 +112,10 @@ class BeamWalk(Manoeuvre):
         stages = [Stage("stand", STAND, posture=LEVEL_LEGS, flywheel=self.select_flywheel_mode(LEVELLING))]
         stages += self.diagonal_stages(site, start, 2 * site.step.half_swing_length)
         stages += [Stage("rest", STAND, flywheel=self.select_flywheel_mode(LEVELLING)), Stage("halt", STAND)]
-        feet = jnp.where(IS_MIDDLE[:, None], site.stretched_feet(start), site.feet_at(start, site.track / 2))
-        stance = Stance(feet, site.base_at(start), jnp.array(FACING_MINUS_Y))
+        feet = jnp.where(
+            IS_MIDDLE[:, None], site.stretched_foot_positions(start), site.foot_positions_at(start, site.track / 2)
+        )
+        stance = Stance(feet, site.base_position_at(start), jnp.array(FACING_MINUS_Y))
         return compile_plan(stance, stages, self.patience, self.flywheel_gains(belief), steered=True)
 
     def beam_geometry(self, belief: Case) -> BeamGeometry:
@@ -147,14 +149,16 @@ class BeamWalk(Manoeuvre):
         stages, y, rest = [], start, self.select_flywheel_mode(LEVELLING)
         for k in range(self.steps):
             pair = DIAGONALS[k % 2]
-            goal = site.feet_at(y - way, site.track / 2)
+            goal = site.foot_positions_at(y - way, site.track / 2)
             name = f"{k + 1}.{'-'.join(map(str, pair))}"
             y = y - way
             stages += [
                 site.swing_stage(name, pair, goal, flywheel=self.select_flywheel_mode(BALANCE)),
-                Stage(f"{k + 1}.body", 2 * site.step.time, position=site.base_at(y), pace=SMOOTH, flywheel=rest),
+                Stage(
+                    f"{k + 1}.body", 2 * site.step.time, position=site.base_position_at(y), pace=SMOOTH, flywheel=rest
+                ),
             ]
-        last, goal = DIAGONALS[self.steps % 2], site.feet_at(y, site.track / 2)
+        last, goal = DIAGONALS[self.steps % 2], site.foot_positions_at(y, site.track / 2)
         stages.append(site.swing_stage("close", last, goal, flywheel=self.select_flywheel_mode(BALANCE)))
         return stages
 
@@ -185,14 +189,16 @@ class BeamCross(BeamWalk):
         far = -belief.obstacle_of_type(Beam).length - reach
         start, stages = self.tripod_approach_stages(site, reach)
         stages += [
-            *change_track_stages(site, reach, site.track, self.transfer_lift, "narrow"),
-            *self.spread_stages(site, reach),
+            *track_width_change_stages(site, reach, site.track, self.transfer_lift, "narrow"),
+            *self.leg_spreading_stages(site, reach),
             *self.diagonal_stages(site, reach, (reach - far) / self.steps),
             Stage("rest", STAND, flywheel=self.select_flywheel_mode(LEVELLING)),
             *self.leg_folding_stages(site, far),
-            *change_track_stages(site, far, self.wide_track, self.transfer_lift, "wide"),
+            *track_width_change_stages(site, far, self.wide_track, self.transfer_lift, "wide"),
         ]
-        stance = Stance(site.feet_at(far, self.wide_track / 2), site.base_at(far), jnp.array(FACING_MINUS_Y))
+        stance = Stance(
+            site.foot_positions_at(far, self.wide_track / 2), site.base_position_at(far), jnp.array(FACING_MINUS_Y)
+        )
         departure = self.tripod_stages(self.tripod_geometry(site), stance, self.departure)
         stages += [replace(stage, name=f"depart.{stage.name}") for stage in departure]
         return compile_plan(
@@ -204,10 +210,10 @@ class BeamCross(BeamWalk):
         site, forward = self.tripod_geometry(site), jnp.array(FORWARD)
         step = site.step
         first = y + 2 * step.half_swing_length * self.approach
-        feet = site.feet_at(first, self.wide_track / 2) + initial_foot_offsets(TRIPOD, step, forward)
-        start = Stance(feet, site.base_at(first), jnp.array(FACING_MINUS_Y))
+        feet = site.foot_positions_at(first, self.wide_track / 2) + initial_foot_offsets(TRIPOD, step, forward)
+        start = Stance(feet, site.base_position_at(first), jnp.array(FACING_MINUS_Y))
         stages = [Stage("stand", STAND), *self.tripod_stages(site, start, self.approach)]
-        goal = site.feet_at(y, self.wide_track / 2)
+        goal = site.foot_positions_at(y, self.wide_track / 2)
         return start, stages + [site.swing_stage(f"place.{'-'.join(map(str, legs))}", legs, goal) for legs in TRIPOD]
 
     def tripod_geometry(self, site: BeamGeometry) -> BeamGeometry:
@@ -216,30 +222,30 @@ class BeamCross(BeamWalk):
 
     def tripod_stages(self, site: BeamGeometry, start: Stance, number: int) -> list[Stage]:
         """Return plan stages in which the tripods step in turn, with the feet as far apart as on the ledges."""
-        centres = site.feet_at(0.0, self.wide_track / 2) - site.base_at(0.0)
-        return regular_steps(TRIPOD, site.step, start, centres, jnp.array(FORWARD), number, 0.0)
+        centres = site.foot_positions_at(0.0, self.wide_track / 2) - site.base_position_at(0.0)
+        return regular_gait_stages(TRIPOD, site.step, start, centres, jnp.array(FORWARD), number, 0.0)
 
-    def spread_stages(self, site: BeamGeometry, y: Array | float) -> list[Stage]:
+    def leg_spreading_stages(self, site: BeamGeometry, y: Array | float) -> list[Stage]:
         """Return the plan stages in which the middle legs are lifted, moved outward and stretched: monograph 2.6.1."""
-        raised, out = self.intermediate_angles(site, y)
+        raised, out = self.intermediate_leg_postures(site, y)
         return [*middle_leg_stages(site, "out", (raised, out)), Stage("out.3", site.step.time, posture=LEVEL_LEGS)]
 
     def leg_folding_stages(self, site: BeamGeometry, y: Array | float) -> list[Stage]:
         """Return the plan stages in which the stretched middle legs are put back on the beam: monograph 2.6.3."""
-        raised, out = self.intermediate_angles(site, y)
-        feet = site.feet_at(y, site.track / 2)
-        angles = values_by_leg(site.joint_angles(y, feet), MIDDLE)
-        down = Stage("down.3", site.step.time, values_by_leg(feet, MIDDLE), posture=angles)
+        raised, out = self.intermediate_leg_postures(site, y)
+        feet = site.foot_positions_at(y, site.track / 2)
+        angles = rows_by_leg(site.joint_angles(y, feet), MIDDLE)
+        down = Stage("down.3", site.step.time, rows_by_leg(feet, MIDDLE), posture=angles)
         return [*middle_leg_stages(site, "down", (out, raised)), down]
 
-    def intermediate_angles(self, site: BeamGeometry, y: Array | float) -> tuple[Array, Array]:
+    def intermediate_leg_postures(self, site: BeamGeometry, y: Array | float) -> tuple[Array, Array]:
         """Return two postures (6, 3) as joint angles (rad): feet lifted off the beam, and legs half spread."""
-        lifted = site.feet_at(y, site.track / 2) + jnp.array([0.0, 0.0, 1.0]) * self.transfer_lift
+        lifted = site.foot_positions_at(y, site.track / 2) + jnp.array([0.0, 0.0, 1.0]) * self.transfer_lift
         reach = site.robot.thigh + site.robot.shin
-        return site.joint_angles(y, lifted), site.angles_beside_hips(0.5 * reach, 0.25 * reach)
+        return site.joint_angles(y, lifted), site.joint_angles_beside_hips(0.5 * reach, 0.25 * reach)
 
 
-def change_track_stages(
+def track_width_change_stages(
     site: BeamGeometry, y: Array | float, track: Array | float, lift: Array | float, name: str
 ) -> list[Stage]:
     """Return the plan stages in which the tripods step to another lateral distance between left and right feet.
@@ -253,24 +259,22 @@ def change_track_stages(
         lift: of the feet (m).
         name: prefix of the stages' names.
     """
-    over, goal = site.angles_beside_hips(0.02, site.clearance - lift), site.feet_at(y, track / 2)
+    over, goal = site.joint_angles_beside_hips(0.02, site.clearance - lift), site.foot_positions_at(y, track / 2)
     angles, stages = site.joint_angles(y, goal), []
     for legs in TRIPOD:
         label = f"{name}.{'-'.join(map(str, legs))}"
-        stages.append(Stage(f"{label}.over", site.step.time, posture=values_by_leg(over, legs)))
+        stages.append(Stage(f"{label}.over", site.step.time, posture=rows_by_leg(over, legs)))
         stages.append(
-            Stage(f"{label}.down", site.step.time, values_by_leg(goal, legs), posture=values_by_leg(angles, legs))
+            Stage(f"{label}.down", site.step.time, rows_by_leg(goal, legs), posture=rows_by_leg(angles, legs))
         )
     return stages
 
 
 def middle_leg_stages(site: BeamGeometry, name: str, angles: Sequence[Array]) -> list[Stage]:
     """Return plan stages in which the middle legs go through a sequence of postures."""
-    return [
-        Stage(f"{name}.{k}", site.step.time, posture=values_by_leg(a, MIDDLE)) for k, a in enumerate(angles, start=1)
-    ]
+    return [Stage(f"{name}.{k}", site.step.time, posture=rows_by_leg(a, MIDDLE)) for k, a in enumerate(angles, start=1)]
 
 
-def values_by_leg(values: Float[Array, "6 3"], legs: Sequence[int]) -> dict[int, Array]:
+def rows_by_leg(values: Float[Array, "6 3"], legs: Sequence[int]) -> dict[int, Array]:
     """Select rows of foot positions or joint angles (6, 3) for the given legs, by leg number."""
     return {leg: values[leg - 1] for leg in legs}

@@ -10,13 +10,13 @@ from collections.abc import Mapping
 from sweep.controllers.tracker import FeedbackLaw
 from sweep.core.parameters import count, parameters, quantity
 from sweep.manoeuvres.balancing.ball import BallDrive, OnBallManoeuvre
-from sweep.manoeuvres.balancing.parts import ManoeuvreInParts, SettleBallLaw
+from sweep.manoeuvres.balancing.parts import FeedbackLawManoeuvre, SettleBallLaw
 
 CALM = "calm"  # law of steps that stop the ball
 
 
 @parameters
-class BesideBallManoeuvre(OnBallManoeuvre, ManoeuvreInParts):
+class BesideBallManoeuvre(OnBallManoeuvre, FeedbackLawManoeuvre):
     """Base class of manoeuvres between floor and ball top: how feet grip the ball, and the law that stops it.
 
     These steps are tripods of `ball_drive` at v_d = 0, at most `calm` of them.

@@ -29,7 +29,7 @@ OVERSHOOT = 5e-4  # m, by which corrections go beyond their limit
 ROUNDS = 4  # of corrections; the mass centre follows 0.8 or more of a base's motion, and a little of a foot's
 
 
-class CheckLimits(NamedTuple):
+class ReachAndSupportLimits(NamedTuple):
     """Limits on reach and support that the plan stages from one ball to another must keep."""
 
     spare: Array | float  # m, least distance of the mass centre from the ends of the support
@@ -37,7 +37,7 @@ class CheckLimits(NamedTuple):
     above: Array | float  # m, least clearance of the base over the balls
 
 
-class FeetOverStages(NamedTuple):
+class FootStatesByStage(NamedTuple):
     """Feet over S stages: whether each swings, the stage since which it stands, and the centre of the ball under it."""
 
     swing: Bool[np.ndarray, "s 6"]
@@ -45,7 +45,9 @@ class FeetOverStages(NamedTuple):
     centre: Float[Array, "s 6 3"]  # m
 
 
-def correct_stages(belief: Case, start: Stance, stages: Sequence[Stage], limits: CheckLimits) -> list[Stage]:
+def enforce_reach_and_support(
+    belief: Case, start: Stance, stages: Sequence[Stage], limits: ReachAndSupportLimits
+) -> list[Stage]:
     """Correct plan stages by the rules of monograph 3.5.3 so that they keep limits of reach and support where possible.
 
     Check 3: a foot that limits where the mass centre may be is set farther along the ball. Check 5: a base that moves
@@ -64,7 +66,7 @@ def correct_stages(belief: Case, start: Stance, stages: Sequence[Stage], limits:
     swing = np.array([[leg in stage.swing for leg in LEGS] for stage in stages])
     since = np.maximum.accumulate(np.where(swing, np.arange(len(stages))[:, None], -1))
     second = np.isin([stage.foot_frames for stage in stages], (koenig_frame_number(1), body_frame_number(1)))
-    steps = FeetOverStages(swing, since, jnp.where(second[..., None], free.position[1], free.position[0]))
+    steps = FootStatesByStage(swing, since, jnp.where(second[..., None], free.position[1], free.position[0]))
     planned = stances = stage_end_stances(plan, free)
     for _ in range(ROUNDS):
         stances = _set_feet_farther(robot, stances, steps, limits)
@@ -94,7 +96,7 @@ def mass_centre_margins(
                       centre - jnp.min(jnp.where(is_stance, ahead, jnp.inf), axis=1)])  # fmt: skip
 
 
-def next_support(swing: Bool[Array, "s 6"] | np.ndarray) -> Bool[Array, "s 6"]:
+def support_at_stage_end(swing: Bool[Array, "s 6"] | np.ndarray) -> Bool[Array, "s 6"]:
     """Return which feet (s, 6) support the robot as each stage ends.
 
     These are the feet that stand in it or, if no foot swings in it, those that stand in the next stage.
@@ -106,7 +108,7 @@ def next_support(swing: Bool[Array, "s 6"] | np.ndarray) -> Bool[Array, "s 6"]:
     return jnp.where(swings, ~swing, ~following)
 
 
-def _set_feet_farther(robot: Robot, stances: Stance, steps: FeetOverStages, limits: CheckLimits) -> Stance:
+def _set_feet_farther(robot: Robot, stances: Stance, steps: FootStatesByStage, limits: ReachAndSupportLimits) -> Stance:
     """Check 3: where the support margin of a swing is too small, move the outermost standing feet farther out."""
     stands, ahead = ~steps.swing, stances.feet[..., 0]
     lacks = jnp.where(steps.swing.any(axis=1), limits.spare - mass_centre_margins(robot, stances, stands), 0.0)
@@ -131,10 +133,12 @@ def _set_feet_farther(robot: Robot, stances: Stance, steps: FeetOverStages, limi
     return stances._replace(feet=jnp.where((shift != 0)[..., None], moved, stances.feet))
 
 
-def _move_base_on(robot: Robot, stances: Stance, start: Stance, steps: FeetOverStages, limits: CheckLimits) -> Stance:
+def _move_base_on(
+    robot: Robot, stances: Stance, start: Stance, steps: FootStatesByStage, limits: ReachAndSupportLimits
+) -> Stance:
     """Check 5: where the margin is too small, move the base further along its motion."""
     moves = ~steps.swing.any(axis=1)
-    front, rear = limits.spare - mass_centre_margins(robot, stances, next_support(steps.swing))
+    front, rear = limits.spare - mass_centre_margins(robot, stances, support_at_stage_end(steps.swing))
     step = stances.position[:, 0] - jnp.concatenate([start.position[None], stances.position[:-1]])[:, 0]
     forward, back = moves & (step > 0) & (rear > 0), moves & (step < 0) & (front > 0)
     shift = jnp.where(forward, rear + OVERSHOOT, 0.0) - jnp.where(back, front + OVERSHOOT, 0.0)
@@ -142,7 +146,7 @@ def _move_base_on(robot: Robot, stances: Stance, start: Stance, steps: FeetOverS
     return stances._replace(position=jnp.where((forward | back)[:, None], moved, stances.position))
 
 
-def _lower_base(belief: Case, stances: Stance, limits: CheckLimits) -> Stance:
+def _lower_base(belief: Case, stances: Stance, limits: ReachAndSupportLimits) -> Stance:
     """Check 2: lower the base where a leg would be too long, while it stays above the balls."""
     robot, balls = belief.robot, belief.obstacle_of_type(TwoBalls)
     level, down = _leg_extents(robot, stances)
@@ -156,7 +160,7 @@ def _lower_base(belief: Case, stances: Stance, limits: CheckLimits) -> Stance:
     return stances._replace(position=jnp.where((shift > 0)[:, None], lowered, stances.position))
 
 
-def _set_feet_nearer(robot: Robot, stances: Stance, steps: FeetOverStages, limits: CheckLimits) -> Stance:
+def _set_feet_nearer(robot: Robot, stances: Stance, steps: FootStatesByStage, limits: ReachAndSupportLimits) -> Stance:
     """Check 2: move a foot that is still too far to where its leg reaches the ball, in the vertical plane along x."""
     hips = stances.position[:, None] + rotate(stances.quat[:, None], leg_mounts(robot).hips)
     feet, to_hip = stances.feet - steps.centre, hips - steps.centre

@@ -17,10 +17,10 @@ from sweep.controllers.tracker import FeedbackLaw, Guidance, TrackerState
 from sweep.manoeuvres.balancing.ball import BallDrive, DriveMemory
 from sweep.models.case import Case, Manoeuvre
 from sweep.models.frames import WORLD_FRAME, koenig_frame_number
-from sweep.models.obstacles.surface import FreeState
+from sweep.models.obstacles.surface import FreeBodyState
 
 
-class ManoeuvreInParts(Manoeuvre, ABC):
+class FeedbackLawManoeuvre(Manoeuvre, ABC):
     """Base class of manoeuvres whose stages each name the feedback law that guides them, or else follow the plan."""
 
     @property
@@ -70,12 +70,12 @@ class DriveUntilArrivalLaw(ABC):
         """Return the stance in which the robot rolls the ball in this tick."""
         return self.drive_law(belief, ctx.obs.free).guide(belief, ctx, state)
 
-    def drive_law(self, belief: Case, free: FreeState) -> FeedbackLaw:
+    def drive_law(self, belief: Case, free: FreeBodyState) -> FeedbackLaw:
         """Return the law that rolls the ball, with the position at which the ball is to stop."""
         return self.drive
 
     @abstractmethod
-    def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
+    def has_arrived(self, belief: Case, free: FreeBodyState) -> Bool[Array, ""]:
         """Return whether the ball has arrived and needs no further step."""
 
     def is_stage_over(self, belief: Case, plan: Plan, state: TrackerState, obs: Observation) -> Bool[Array, ""]:
@@ -91,14 +91,14 @@ class SettleBallLaw(DriveUntilArrivalLaw):
     calm: Array | float  # m/s, largest speed of a calm ball
     within: Array | float  # m, of the drive's place
 
-    def has_arrived(self, belief: Case, free: FreeState) -> Bool[Array, ""]:
+    def has_arrived(self, belief: Case, free: FreeBodyState) -> Bool[Array, ""]:
         """Return whether the ball is near its goal along x, and nearly at rest."""
         near = jnp.abs(free.position[0, 0] - self.drive.place) < self.within
         return near & (jnp.linalg.norm(free.velocity[0]) < self.calm)
 
 
 @dataclass(frozen=True)
-class SingleBallLaw:
+class SingleBallLawAdapter:
     """Feedback law written for an obstacle with a single ball, applied to one ball of several."""
 
     law: FeedbackLaw

@@ -22,8 +22,8 @@ from sweep.models.robot import length_unit
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.forces import PlannedForces
 from sweep.planning.gaits import GaitStep
-from sweep.planning.moves import MoveContext, StandingState, initial_stance, part_stages
-from sweep.planning.symmetry import apply_direction
+from sweep.planning.moves import MoveContext, StandingState, initial_stance, plan_part_stages
+from sweep.planning.symmetry import apply_plan_direction
 
 
 @parameters
@@ -73,15 +73,17 @@ class CornerManoeuvre(PlannedForces):
         """Return the start stance, the plan stages to the end of the gallop up the corner, and feet and base then."""
         context = self.move_context(belief)
         places, position, standing = initial_stance("arrive", context)
-        climb, standing = part_stages("climb", context, standing, "")
-        gallop, standing = part_stages("gallop", context, standing, "gallop")
+        climb, standing = plan_part_stages("climb", context, standing, "")
+        gallop, standing = plan_part_stages("gallop", context, standing, "gallop")
         return Stance(places, position, jnp.array(FACING_MINUS_Y)), [*climb, *gallop], standing
 
     def plan(self, belief: Case) -> Plan:
         """Return the plan with its planned forces: stand, climb, halt."""
         start, stages = self.route_stages(belief)
-        stages = [Stage("stand", STAND), *self.with_load_transfer(stages), Stage("halt", STAND)]
-        return self.with_feedforward(belief, apply_direction(belief, compile_plan(start, stages, self.patience)))
+        stages = [Stage("stand", STAND), *self.insert_load_transfers(stages), Stage("halt", STAND)]
+        return self.add_force_feedforward(
+            belief, apply_plan_direction(belief, compile_plan(start, stages, self.patience))
+        )
 
     @abstractmethod
     def route_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:

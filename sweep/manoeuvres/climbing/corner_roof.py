@@ -21,12 +21,12 @@ from sweep.formulas.leg import SIDE_BY_LEG
 from sweep.manoeuvres.climbing.corner import CornerManoeuvre
 from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
-from sweep.models.obstacles.charts import stack_point
+from sweep.models.obstacles.charts import stack_components
 from sweep.models.obstacles.corner import Corner
 from sweep.models.posture import Stance
 from sweep.models.robot import length_unit
 from sweep.planning.gaits import TRIPOD
-from sweep.planning.moves import part_stages, read_moves
+from sweep.planning.moves import plan_part_stages, read_moves
 from sweep.planning.plan_table import SIZES, evaluate_plan
 
 MOST_RISE = 0.28  # a_r, rise of one cycle of the gallop; from 0.35 on front and middle legs cross
@@ -63,9 +63,9 @@ class CornerRoof(CornerManoeuvre):
         if not isinstance(rise, Tracer):
             unit = length_unit(belief.robot)
             self.validate(belief, float(rise * unit), float(MOST_RISE * belief.robot.body_length))
-        changed_plan = belief.plan.with_increment(f"{SIZES}.rise", jnp.where(rise >= 0, 0.0, jnp.nan))
+        changed_plan = belief.plan.increment_number(f"{SIZES}.rise", jnp.where(rise >= 0, 0.0, jnp.nan))
         start, stages, standing = self.climb_stages(replace(belief, plan=changed_plan))
-        roof, _ = part_stages("roof", self.move_context(belief), standing)
+        roof, _ = plan_part_stages("roof", self.move_context(belief), standing)
         return start, [*stages, *roof]
 
     def validate(self, belief: Case, rise: float, most: float) -> None:
@@ -126,7 +126,7 @@ class CornerFull(CornerRoof):
                 hip = base - advance / 2 + (1 - (leg - 1) // 2) * length / 2
                 swing[leg] = roof_foothold(belief, leg, hip, self.floor_track_ratio * context.unit)
             stages.append(Stage(f"on{k + 1}", context.time, swing, CYCLE_B_SMOOTH, context.lift, pace=SMOOTH,
-                                position=stack_point(0.0, base, height)))  # fmt: skip
+                                position=stack_components(0.0, base, height)))  # fmt: skip
         return stages
 
 
@@ -142,4 +142,4 @@ def roof_foothold(belief: Case, leg: int, y: Array | float, aside: Array | float
     slope, length = jnp.tan(belief.obstacle_of_type(Corner).half_angle), belief.robot.body_length
     y = jnp.minimum(y, -BRINK * length - NARROWEST * length / slope)
     aside = jnp.minimum(aside, slope * (-y - BRINK * length))
-    return stack_point(float(SIDE_BY_LEG[leg - 1]) * aside, y, belief.obstacle_of_type(Corner).height)
+    return stack_components(float(SIDE_BY_LEG[leg - 1]) * aside, y, belief.obstacle_of_type(Corner).height)

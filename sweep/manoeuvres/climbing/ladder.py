@@ -13,19 +13,19 @@ from sweep.controllers.plan import Plan, Stage
 from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas.ladder import ladder as statics
-from sweep.fused.numbers import evaluate_plain_numbers
+from sweep.fused.numbers import evaluate_with_numpy
 from sweep.manoeuvres.climbing.walking import approach_stages, departure_stages
 from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
 from sweep.models.legs import LEGS
-from sweep.models.obstacles.charts import stack_point
+from sweep.models.obstacles.charts import stack_components
 from sweep.models.obstacles.ladder import Ladder
 from sweep.models.robot import length_unit, total_mass
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.forces import MIN_SLACK, PlannedForces
 from sweep.planning.gaits import GaitStep
-from sweep.planning.moves import MoveContext, initial_stance, part_stages, read_moves
-from sweep.planning.symmetry import apply_direction
+from sweep.planning.moves import MoveContext, initial_stance, plan_part_stages, read_moves
+from sweep.planning.symmetry import apply_plan_direction
 from sweep.planning.validation import are_plain_numbers, require_within_reach, stances_at_stage_ends
 
 GAP = 0.15  # leg units, before arrival, that the base covers while the feet take their places at the ladder
@@ -69,7 +69,7 @@ class LadderClimb(PlannedForces):
             InputError: the ladder cannot be climbed.
         """
         self.validate(belief)
-        return self.with_feedforward(belief, self.plan_without_forces(belief))
+        return self.add_force_feedforward(belief, self.plan_without_forces(belief))
 
     def plan_without_forces(self, belief: Case) -> Plan:
         """Return the plan of the climb without planned foot forces, which `plan` adds."""
@@ -82,17 +82,17 @@ class LadderClimb(PlannedForces):
         start, walk = approach_stages(
             belief, step, arrival, spread, dict(zip(LEGS, places, strict=True)), self.steps, GAP * unit
         )
-        climb, _ = part_stages("climb", context, standing)
-        last = stack_point(0.0, -AWAY * unit, ladder.ledge_height + height)
+        climb, _ = plan_part_stages("climb", context, standing)
+        last = stack_components(0.0, -AWAY * unit, ladder.ledge_height + height)
         settle, depart = departure_stages(belief, step, last, spread, height, self.steps_away)
         stages = [
             Stage("settle", self.settle),
             *walk,
-            *self.with_load_transfer([*climb, *settle]),
+            *self.insert_load_transfers([*climb, *settle]),
             *depart,
             Stage("halt", self.settle),
         ]
-        return apply_direction(belief, compile_plan(start, stages, self.patience, free=ladder.start()))
+        return apply_plan_direction(belief, compile_plan(start, stages, self.patience, free=ladder.start()))
 
     def validate(self, belief: Case) -> None:
         """Raise an error unless the ladder stands, has enough rungs and is in reach; skipped under JAX tracing.
@@ -111,9 +111,9 @@ class LadderClimb(PlannedForces):
                 f"obstacle.rungs = {ladder.rungs} is not allowed: at least {needs} for the moves of part climb"
             )
         grips = [contact.friction * grip for grip in (ladder.floor_grip, ladder.wall_grip)]
-        bears = evaluate_plain_numbers(lambda: statics(jnp.asarray(ladder.lean), *map(jnp.asarray, grips)).chi_max)
+        bears = evaluate_with_numpy(lambda: statics(jnp.asarray(ladder.lean), *map(jnp.asarray, grips)).chi_max)
         mass = float(total_mass(robot))
-        load = (mass + ladder.mass * ladder.mass_centre_distance / ladder.length) / (mass + ladder.mass)
+        load = (mass + ladder.mass * ladder.mass_centre_along_rails / ladder.length) / (mass + ladder.mass)
         if not bears >= load:
             raise InputError(
                 f"obstacle.lean = {ladder.lean:g} is not allowed: with friction {grips[0]:g} on the floor and "

@@ -21,8 +21,8 @@ from sweep.models.robot import length_unit
 from sweep.planning.compile_plan import compile_plan
 from sweep.planning.forces import PlannedForces
 from sweep.planning.gaits import GaitStep
-from sweep.planning.moves import MoveContext, StandingState, initial_stance, part_stages
-from sweep.planning.symmetry import apply_direction
+from sweep.planning.moves import MoveContext, StandingState, initial_stance, plan_part_stages
+from sweep.planning.symmetry import apply_plan_direction
 
 PRESS = "press"  # law of moves that press feet in, which are left out where planned forces hold them
 
@@ -67,7 +67,7 @@ class PoleManoeuvre(PlannedForces):
     needs = (PoleLedge,)
     default_plan_name = "pole"
 
-    def regular_step(self, belief: Case) -> GaitStep:
+    def approach_gait_step(self, belief: Case) -> GaitStep:
         """Return length, lift and duration of the swings in the approach; swings on the pole use them too."""
         return GaitStep.from_ratios(length_unit(belief.robot), self.half_step_ratio, self.lift_ratio, self.rate)
 
@@ -76,7 +76,7 @@ class PoleManoeuvre(PlannedForces):
 
         The chart `edges` is for a base that pitches up before the pole, `hang` for one that is upright beside it.
         """
-        unit, step = length_unit(belief.robot), self.regular_step(belief)
+        unit, step = length_unit(belief.robot), self.approach_gait_step(belief)
         hang = edge_chart(lambda pole: (pole.radius + self.gap_ratio * unit, pole.height))
         charts = {"edges": rearing_base_chart(belief.robot.body_length), "hang": hang}
         return MoveContext(belief, unit, step.time, step.height, {"side": self.deepening}, charts, laws=(PRESS,))
@@ -88,19 +88,19 @@ class PoleManoeuvre(PlannedForces):
             belief: believed parameters.
             gap: as in `approach_stages` (m).
         """
-        context, step = self.move_context(belief), self.regular_step(belief)
+        context, step = self.move_context(belief), self.approach_gait_step(belief)
         places, arrival, standing = initial_stance("arrive", context)
         spread = self.spread_ratio * context.unit
         start, walk = approach_stages(
             belief, step, arrival, spread, dict(zip(LEGS, places, strict=True)), self.steps, gap
         )
-        climb, standing = part_stages("climb", context, standing, "")
-        gallop, standing = part_stages("gallop", context, standing, "gallop")
+        climb, standing = plan_part_stages("climb", context, standing, "")
+        gallop, standing = plan_part_stages("gallop", context, standing, "gallop")
         return start, [Stage("stand", STAND), *walk, *self.insert_load_transfer_rests([*climb, *gallop])], standing
 
     def insert_load_transfer_rests(self, stages: list[Stage]) -> list[Stage]:
         """Return the plan stages, with rests in which load moves between feet if foot forces are planned."""
-        return self.with_load_transfer(stages) if self.forces == "planned" else stages
+        return self.insert_load_transfers(stages) if self.forces == "planned" else stages
 
 
 @parameters
@@ -114,8 +114,8 @@ class PoleClimb(PoleManoeuvre):
     def plan(self, belief: Case) -> Plan:
         """Return the plan: climb and halt, with planned forces if configured."""
         start, stages = self.route_stages(belief)
-        plan = apply_direction(belief, compile_plan(start, [*stages, Stage("halt", STAND)], self.patience))
-        return self.with_feedforward(belief, plan) if self.forces == "planned" else plan
+        plan = apply_plan_direction(belief, compile_plan(start, [*stages, Stage("halt", STAND)], self.patience))
+        return self.add_force_feedforward(belief, plan) if self.forces == "planned" else plan
 
     def route_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """Return the start stance and the plan stages of the climb."""

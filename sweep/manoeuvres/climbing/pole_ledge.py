@@ -29,10 +29,10 @@ from sweep.manoeuvres.climbing.pole_top import PoleTop
 from sweep.manoeuvres.climbing.walking import departure_stages
 from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
-from sweep.models.obstacles.charts import stack_point
+from sweep.models.obstacles.charts import stack_components
 from sweep.models.obstacles.pole_ledge import PoleLedge
 from sweep.models.posture import Stance
-from sweep.planning.moves import part_stages
+from sweep.planning.moves import plan_part_stages
 
 
 @parameters
@@ -52,10 +52,10 @@ class PoleToLedge(PoleTop):
 
     def route_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """Return the start stance and the plan stages: on to the top, across to the ledge, away."""
-        start, stages, standing = self.top_stages(belief)
+        start, stages, standing = self.pole_top_stages(belief)
         context, pole = self.move_context(belief), belief.obstacle_of_type(PoleLedge)
-        cross, _ = part_stages("ledge", context, standing)
+        cross, _ = plan_part_stages("ledge", context, standing)
         height, spread = self.height_ratio * context.unit, self.spread_ratio * context.unit
-        last = stack_point(0.0, -pole.radius - 0.75 * context.unit, pole.ledge_height + height)
-        away, walk = departure_stages(belief, self.regular_step(belief), last, spread, height, self.steps_away)
+        last = stack_components(0.0, -pole.radius - 0.75 * context.unit, pole.ledge_height + height)
+        away, walk = departure_stages(belief, self.approach_gait_step(belief), last, spread, height, self.steps_away)
         return start, [*stages, *self.insert_load_transfer_rests([*cross, *away]), *walk]

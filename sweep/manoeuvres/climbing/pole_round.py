@@ -16,7 +16,7 @@ from sweep.core.rotations import exponential, rotate
 from sweep.manoeuvres.climbing.pole import PoleManoeuvre
 from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
-from sweep.models.obstacles.charts import stack_point
+from sweep.models.obstacles.charts import stack_components
 from sweep.models.obstacles.pole_ledge import PoleLedge
 from sweep.models.posture import Stance
 from sweep.models.robot import length_unit
@@ -46,7 +46,7 @@ class PoleRound(PoleManoeuvre):
     def plan(self, belief: Case) -> Plan:
         """Return the plan: climb, go round the pole, and descend by the reversed climb from the ledge."""
         step, ledge, away = (
-            self.regular_step(belief),
+            self.approach_gait_step(belief),
             belief.obstacle_of_type(PoleLedge).ledge_height,
             replace(self, cycles=self.down_cycles),
         )
@@ -54,12 +54,12 @@ class PoleRound(PoleManoeuvre):
         start, stages, _ = away.climb_stages(replace(belief, manoeuvre=away), step.half_swing_length)
         from_ledge = compile_plan(start, stages, self.patience)
         rise = (ledge + 3 * self.down_cycles * step.half_swing_length) / (3 * self.cycles * length_unit(belief.robot))
-        start, stages, _ = self.climb_stages(replace(belief, plan=belief.plan.with_value(f"{SIZES}.rise", rise)))
+        start, stages, _ = self.climb_stages(replace(belief, plan=belief.plan.replace_number(f"{SIZES}.rise", rise)))
         up = compile_plan(start, stages, self.patience)
         top = last_stance(up)
         across = compile_plan(top, [Stage("hang", STAND), *half_turn_stages(step, top)], self.patience)
         down = transform_plan(
-            reverse_in_time(from_ledge), exponential(jnp.array(HALF_TURN)), stack_point(0.0, 0.0, ledge)
+            reverse_in_time(from_ledge), exponential(jnp.array(HALF_TURN)), stack_components(0.0, 0.0, ledge)
         )
         plan = join_plans(up, across, down)
         return plan if self.side == "left" else mirror_plan(plan, np.array([1.0, 0.0, 0.0]))
@@ -79,13 +79,13 @@ def half_turn_stages(step: GaitStep, start: Stance) -> list[Stage]:
     """
     feet, position = start.feet, start.position
     advance = STEP / len(GALLOP)
-    axis, turn = stack_point(0.0, 0.0, position[2]), stack_point(0.0, 0.0, advance)
+    axis, turn = stack_components(0.0, 0.0, position[2]), stack_components(0.0, 0.0, advance)
     stages = []
     for k in range(round(np.pi / advance)):
         legs = GALLOP[k % 3]
-        swing = {leg: turn_about_pole(feet[leg - 1], STEP) for leg in legs}
-        away = jnp.stack([turn_about_pole(foot, STEP / 2) for foot in feet]).at[:, 2].set(0.0)
-        position = turn_about_pole(position, advance)
+        swing = {leg: rotate_about_pole(feet[leg - 1], STEP) for leg in legs}
+        away = jnp.stack([rotate_about_pole(foot, STEP / 2) for foot in feet]).at[:, 2].set(0.0)
+        position = rotate_about_pole(position, advance)
         name = f"round{k // 3 + 1}.{('front', 'middle', 'rear')[k % 3]}"
         stages.append(Stage(name, step.time, swing, CYCLE_B, 1.5 * step.height, away, position=position,
                             turn=turn, pivot=axis, arc=advance))  # fmt: skip
@@ -94,6 +94,6 @@ def half_turn_stages(step: GaitStep, start: Stance) -> list[Stage]:
     return stages
 
 
-def turn_about_pole(place: Array, angle: float) -> Array:
+def rotate_about_pole(place: Array, angle: float) -> Array:
     """Return a point (m) turned about the pole's axis by an angle (rad)."""
-    return rotate(exponential(stack_point(0.0, 0.0, angle)), place)
+    return rotate(exponential(stack_components(0.0, 0.0, angle)), place)

@@ -11,7 +11,7 @@ from sweep.manoeuvres.climbing.pole import PRESS, PoleClimb
 from sweep.manoeuvres.goals import UPRIGHT
 from sweep.models.case import Case
 from sweep.models.posture import Stance
-from sweep.planning.moves import StandingState, part_stages
+from sweep.planning.moves import StandingState, plan_part_stages
 
 
 @parameters
@@ -24,7 +24,7 @@ class PoleTop(PoleClimb):
 
     default_plan_name = "pole_top"
 
-    def top_stages(self, belief: Case) -> tuple[Stance, list[Stage], StandingState]:
+    def pole_top_stages(self, belief: Case) -> tuple[Stance, list[Stage], StandingState]:
         """Return the start stance, the plan stages on to the top, and feet and base after them.
 
         The gallop ends with the front edge of the base x* below the top.
@@ -32,10 +32,10 @@ class PoleTop(PoleClimb):
         start, climb, standing = self.climb_stages(belief)
         context, stages = self.move_context(belief), []
         for part in ("edge", "over", "top"):
-            stages_of_part, standing = part_stages(part, context, standing)
+            stages_of_part, standing = plan_part_stages(part, context, standing)
             stages += [stage for stage in stages_of_part if stage.law != PRESS or self.forces != "planned"]
         return start, [*climb, *self.insert_load_transfer_rests(stages)], standing
 
     def route_stages(self, belief: Case) -> tuple[Stance, list[Stage]]:
         """Return the start stance and the plan stages until the robot stands on the top."""
-        return self.top_stages(belief)[:2]
+        return self.pole_top_stages(belief)[:2]

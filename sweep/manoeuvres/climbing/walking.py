@@ -11,7 +11,7 @@ from sweep.controllers.plan import CYCLE_B, Stage
 from sweep.core.rotations import IDENTITY, rotate
 from sweep.models.case import Case
 from sweep.models.posture import Stance, foot_centres
-from sweep.planning.gaits import TRIPOD, GaitStep, initial_foot_offsets, regular_steps
+from sweep.planning.gaits import TRIPOD, GaitStep, initial_foot_offsets, regular_gait_stages
 
 
 class WalkingDirection(NamedTuple):
@@ -27,7 +27,7 @@ AHEAD = WalkingDirection(IDENTITY, (1.0, 0.0, 0.0))
 REST_TO_REST = (0.0, 0.0)  # rates of a base path that starts and ends at rest, as swings do
 
 
-def foot_centres_facing(
+def foot_offsets_from_base(
     belief: Case, spread: Array | float, height: Array | float, facing: WalkingDirection = ALONG_Y
 ) -> Float[Array, "6 3"]:
     """Return the feet relative to the base (m, world axes), each at the same offset from its hip.
@@ -63,11 +63,11 @@ def approach_stages(
         steps: number of swings.
         gap: m.
     """
-    forward, home = jnp.array(ALONG_Y.forward), foot_centres_facing(belief, spread, arrival[2])
+    forward, home = jnp.array(ALONG_Y.forward), foot_offsets_from_base(belief, spread, arrival[2])
     position = arrival - (gap + 2 * step.half_swing_length * steps) * forward
     feet = position + home + initial_foot_offsets(TRIPOD, step, forward)
     start = Stance(feet, position, jnp.array(FACING_MINUS_Y))
-    stages = regular_steps(TRIPOD, step, start, home, forward, steps, 0.0)
+    stages = regular_gait_stages(TRIPOD, step, start, home, forward, steps, 0.0)
     for k, legs in enumerate(TRIPOD):
         centre = arrival - (1 - k) * gap / 2 * forward
         name = f"place.{'-'.join(map(str, legs))}"
@@ -96,12 +96,12 @@ def departure_stages(
         steps: number of swings.
         facing: direction in which the robot looks and walks.
     """
-    forward, home = jnp.array(facing.forward), foot_centres_facing(belief, spread, clearance, facing)
+    forward, home = jnp.array(facing.forward), foot_offsets_from_base(belief, spread, clearance, facing)
     feet = position + home + initial_foot_offsets(TRIPOD, step, forward)
     stages = []
     for legs in TRIPOD:
         name = f"away.{'-'.join(map(str, legs))}"
         stages.append(Stage(name, 1.5 * step.time, {leg: feet[leg - 1] for leg in legs}, CYCLE_B, 2 * step.height,
                             position=position, rates=REST_TO_REST))  # fmt: skip
-    walk = regular_steps(TRIPOD, step, Stance(feet, position, jnp.array(facing.quat)), home, forward, steps, 0.0)
+    walk = regular_gait_stages(TRIPOD, step, Stance(feet, position, jnp.array(facing.quat)), home, forward, steps, 0.0)
     return stages, [replace(stage, name=f"away.{stage.name}") for stage in walk]

@@ -14,7 +14,7 @@ from sweep.models.case import Case, Manoeuvre
 from sweep.models.obstacles.plane import Plane
 from sweep.models.posture import Stance, foot_centres
 from sweep.planning.compile_plan import compile_plan
-from sweep.planning.gaits import GAITS, MEANINGS, GaitStep, initial_foot_offsets, regular_steps
+from sweep.planning.gaits import GAITS, MEANINGS, GaitStep, initial_foot_offsets, regular_gait_stages
 
 
 @parameters
@@ -40,7 +40,7 @@ class Walk(Manoeuvre):
         """Return the plan: stand, `steps` swings, stand, with the base parallel to the believed ground."""
         start, swings = self.swing_stages(belief, lambda centres: 0.0)
         plan = compile_plan(start, [Stage("stand", STAND), *swings, Stage("halt", 2 * STAND)], self.patience)
-        return tilt_to_ground(plan, belief)
+        return tilt_plan_to_ground(plan, belief)
 
     def swing_stages(self, belief: Case, start_offset: Callable[[Array], Array | float]) -> tuple[Stance, list[Stage]]:
         """Return the start stance and the plan stages of all swings on level ground.
@@ -55,7 +55,7 @@ class Walk(Manoeuvre):
         behind = start_offset(centres) * forward
         feet = start.feet + initial_foot_offsets(gait, step, forward) - behind
         start = start._replace(feet=feet, position=start.position - behind)
-        return start, regular_steps(gait, step, start, centres, forward, self.steps, self.deepening)
+        return start, regular_gait_stages(gait, step, start, centres, forward, self.steps, self.deepening)
 
 
 @parameters
@@ -74,7 +74,7 @@ class Stand(Manoeuvre):
         """Return a plan with one stage in which all feet stand."""
         length = belief.robot.body_length
         start, _ = level_stance(belief, self.spread_ratio * length, self.height_ratio * length)
-        return tilt_to_ground(compile_plan(start, [Stage("stand", self.duration)], 0.0), belief)
+        return tilt_plan_to_ground(compile_plan(start, [Stage("stand", self.duration)], 0.0), belief)
 
 
 def level_stance(belief: Case, spread: Array | float, height: Array | float) -> tuple[Stance, Array]:
@@ -90,7 +90,7 @@ def level_stance(belief: Case, spread: Array | float, height: Array | float) -> 
     return Stance(position + centres, position, jnp.array(IDENTITY)), centres
 
 
-def tilt_to_ground(plan: Plan, belief: Case) -> Plan:
+def tilt_plan_to_ground(plan: Plan, belief: Case) -> Plan:
     """Return a plan that was made for level ground, rotated to the slope that the controller believes in."""
     return transform_plan(
         plan, exponential(jnp.array([0.0, -1.0, 0.0]) * belief.obstacle_of_type(Plane).slope), jnp.zeros(3)

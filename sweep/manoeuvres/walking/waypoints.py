@@ -12,7 +12,7 @@ from sweep.core.errors import InputError
 from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.formulas.thesis import thesis_fk, thesis_step, thesis_workspace
 from sweep.manoeuvres.goals import ON_ITS_FEET
-from sweep.manoeuvres.walking.walk import level_stance, tilt_to_ground
+from sweep.manoeuvres.walking.walk import level_stance, tilt_plan_to_ground
 from sweep.models.case import Case, Manoeuvre
 from sweep.models.legs import LEGS
 from sweep.models.obstacles.plane import Plane
@@ -70,12 +70,12 @@ class Waypoints(Manoeuvre):
                 f"robot.shin = {robot.shin:g} is not allowed: greater than robot.thigh = {robot.thigh:g} m for "
                 "manoeuvre = waypoints"
             )
-        spread, height = self.home_position(robot)
+        spread, height = self.neutral_foot_position(robot)
         start, centres = level_stance(belief, spread, height)
         lift = height - (robot.shin - robot.thigh)  # m, h: keeps the foot below z = l2 - l3, where OA of (19) grows
         stages = [Stage("stand", STAND)]
         position = start.position
-        for k, step in enumerate(self.cycle_steps(robot)):
+        for k, step in enumerate(self.gait_cycle_steps(robot)):
             moving = jnp.any(step != 0)
             time = jnp.where(moving, self.phase_time, IDLE)
             footing = position + 2 * step + centres - jnp.array([0.0, 0.0, self.deepening])
@@ -85,14 +85,14 @@ class Waypoints(Manoeuvre):
                 name = f"{k + 1}.{'-'.join(map(str, tripod))}"
                 stages.append(Stage(name, time, landing, HALF_ELLIPSE, moving * lift, position=position, pace=ELLIPTIC))
         stages.append(Stage("halt", 2 * STAND, position=start.position.at[:2].set(jnp.array(WAYPOINTS[-1]))))
-        return tilt_to_ground(compile_plan(start, stages, self.patience), belief)
+        return tilt_plan_to_ground(compile_plan(start, stages, self.patience), belief)
 
-    def home_position(self, robot: Robot) -> tuple[Array, Array]:
+    def neutral_foot_position(self, robot: Robot) -> tuple[Array, Array]:
         """Return a foot's neutral position (m): outward from its hip and at depth H below it: thesis (11)."""
         foot = thesis_fk(0.0, self.psi, self.gamma, robot.coxa, robot.thigh, robot.shin).foot
         return foot[0], -foot[2]
 
-    def cycle_steps(self, robot: Robot) -> Float[Array, "cycles 3"]:
+    def gait_cycle_steps(self, robot: Robot) -> Float[Array, "cycles 3"]:
         """Return the step length of each gait cycle (m): the largest possible, or half of the remaining distance if
         shorter."""
         points = jnp.array(WAYPOINTS)
@@ -102,7 +102,7 @@ class Waypoints(Manoeuvre):
             remaining = points[next_point] - position
             length = jnp.linalg.norm(remaining)
             direction = jnp.where(length > 0, remaining / jnp.where(length > 0, length, 1.0), jnp.array([1.0, 0.0]))
-            largest = self.share * jnp.min(self.largest_steps(robot, direction))
+            largest = self.share * jnp.min(self.largest_step_by_leg(robot, direction))
             arrives = 2 * largest >= length
             step = jnp.where(arrives, remaining / 2, largest * direction)
             position = jnp.where(arrives, points[next_point], position + 2 * step)
@@ -111,7 +111,7 @@ class Waypoints(Manoeuvre):
 
         return jax.lax.scan(cycle, (points[0], jnp.int32(1)), length=self.cycles)[1]
 
-    def largest_steps(self, robot: Robot, direction: Float[Array, " 2"]) -> Float[Array, " 6"]:
+    def largest_step_by_leg(self, robot: Robot, direction: Float[Array, " 2"]) -> Float[Array, " 6"]:
         """Return the largest step (m) of each leg in a direction, by leg number: thesis (18)-(21).
 
         Feet of the first tripod step ahead of home and back, those of the second behind home and back. Either segment
@@ -122,7 +122,7 @@ class Waypoints(Manoeuvre):
             robot: the robot, as believed.
             direction: unit vector of the body's motion.
         """
-        spread, height = self.home_position(robot)
+        spread, height = self.neutral_foot_position(robot)
         zone = thesis_workspace(-height, robot.coxa, robot.thigh, robot.shin, robot.mount_radius)
         out = leg_directions(robot)[:, :2]
         across = jnp.stack([out[:, 1], -out[:, 0]], axis=-1)  # x axis of the leg's frame, whose y axis points outward

@@ -9,9 +9,9 @@ from jaxtyping import Array, Float
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.frames import WORLD_FRAME, body_frame_number, koenig_frame_number
 from sweep.models.obstacles.base import ObstacleDefaults
-from sweep.models.obstacles.charts import Chart, Number, stack_point
+from sweep.models.obstacles.charts import Chart, Number, stack_components
 from sweep.models.obstacles.geoms import add_rolling_contact, add_solids
-from sweep.models.obstacles.surface import BodyPoses, FreeState, RollingResistance, Surface, identity_poses
+from sweep.models.obstacles.surface import BodyPoses, FreeBodyState, RollingResistance, Surface, identity_poses
 from sweep.models.solids import HalfSpace, Solid, Sphere
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def point_at_elevation(
     """Return a foothold on the ball, R `aside` of the middle plane, at an elevation (deg): 0 behind, 90 on top."""
     angle, out = jnp.radians(jnp.asarray(elevation, float)), jnp.asarray(aside, float)
     round_ = jnp.sqrt(1 - out**2)
-    return (obstacle.radius - depth) * stack_point(-round_ * jnp.cos(angle), side * out, round_ * jnp.sin(angle))
+    return (obstacle.radius - depth) * stack_components(-round_ * jnp.cos(angle), side * out, round_ * jnp.sin(angle))
 
 
 def cap_point(
@@ -34,14 +34,14 @@ def cap_point(
 ) -> Float[Array, " 3"]:
     """Return a foothold on the ball's upper half (m), `aside` and `ahead` of the ball's centre (in radii)."""
     x, y = (jnp.asarray(part, float) for part in (ahead, side * aside))
-    return (obstacle.radius - depth) * stack_point(x, y, jnp.sqrt(1 - x**2 - y**2))
+    return (obstacle.radius - depth) * stack_components(x, y, jnp.sqrt(1 - x**2 - y**2))
 
 
 def floor_point(
     obstacle: "Ball", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
     """Return a foothold on the floor (m), `aside` and `ahead` of the ball's centre (in radii)."""
-    return stack_point(ahead * obstacle.radius, side * aside * obstacle.radius, -obstacle.radius - depth)
+    return stack_components(ahead * obstacle.radius, side * aside * obstacle.radius, -obstacle.radius - depth)
 
 
 def tangent_base_position(
@@ -63,7 +63,7 @@ def tangent_base_position(
     """
     angle = jnp.radians(jnp.asarray(elevation, float))
     sin, cos = jnp.sin(angle), jnp.cos(angle)
-    return obstacle.radius * stack_point(-distance * cos + ahead * sin, 0.0, distance * sin + ahead * cos)
+    return obstacle.radius * stack_components(-distance * cos + ahead * sin, 0.0, distance * sin + ahead * cos)
 
 
 def tangent_pitch(obstacle: "Ball", unit: Number, elevation: Number, distance: Number, ahead: Number = 0.0) -> Array:
@@ -116,7 +116,7 @@ class Ball(ObstacleDefaults):
             optional_count=1,
         ),
     }
-    lying = ("radius",)
+    sizes_learnable_from_height = ("radius",)
     forward = (1.0, 0.0)
     free_bodies = ("ball",)
     contact_sites = (("ball", 0),)
@@ -145,13 +145,13 @@ class Ball(ObstacleDefaults):
             "body_inertia": {"ball": jnp.broadcast_to(jnp.asarray(inertia), (3,))},
         }
 
-    def start(self) -> FreeState:
+    def start(self) -> FreeBodyState:
         """Return the start state of a ball that rolls without slip."""
         direction = jnp.stack([jnp.cos(self.course), jnp.sin(self.course), jnp.zeros_like(jnp.cos(self.course))])
         velocity = self.speed * direction
         turn = jnp.cross(jnp.array([0.0, 0.0, 1.0]), velocity) / self.radius
         position = jnp.array([0.0, 0.0, 1.0]) * self.radius
-        return FreeState(position[None], jnp.array([[1.0, 0.0, 0.0, 0.0]]), velocity[None], turn[None])
+        return FreeBodyState(position[None], jnp.array([[1.0, 0.0, 0.0, 0.0]]), velocity[None], turn[None])
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
         """Return floor and ball as solids, for distance computations."""

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from sweep.models.obstacles.charts import Chart
 from sweep.models.obstacles.geoms import add_solids
-from sweep.models.obstacles.surface import BodyPoses, FreeState, identity_poses
+from sweep.models.obstacles.surface import BodyPoses, FreeBodyState, identity_poses
 from sweep.models.solids import Solid
 
 if TYPE_CHECKING:
@@ -20,10 +20,10 @@ class ObstacleDefaults:
     charts: ClassVar[dict[str, Chart]] = {}
     forward: tuple[float, float] = (0.0, -1.0)
     heights: tuple[str, ...] = ()
-    lying: tuple[str, ...] = ()
-    stood_on: tuple[str, ...] = ()
+    sizes_learnable_from_height: tuple[str, ...] = ()
+    sizes_learnable_from_feet: tuple[str, ...] = ()
 
-    def external_wrench(self, free: FreeState) -> Float[Array, "k 6"] | None:
+    def external_wrench(self, free: FreeBodyState) -> Float[Array, "k 6"] | None:
         """Return the wrenches on free bodies other than weight and contact: by default None, for no such wrench."""
         return None
 

@@ -29,7 +29,7 @@ class Chart(NamedTuple):
     pivot: Callable[..., Float[Array, " 3"]] | None = None
     optional_count: int = 0  # of the last coordinates, which are 0 where they are not said
 
-    def base_names(self) -> tuple[str, ...]:
+    def base_coordinate_names(self) -> tuple[str, ...]:
         """Names of the coordinates that give a base pose in this chart, including `pitch`."""
         return self.names if self.pitch else (*self.names, "pitch")
 
@@ -39,7 +39,7 @@ def edge_chart(edge: Callable[[Any], tuple[Number, Number]]) -> Chart:
 
     def at(owner: Any, side: float, unit: Number, depth: Number, ahead: Number, above: Number) -> Float[Array, " 3"]:
         y, z = edge(owner)
-        return stack_point(0.0, y - ahead * unit, z + above * unit)
+        return stack_components(0.0, y - ahead * unit, z + above * unit)
 
     return Chart(("ahead", "above"), at)
 
@@ -94,11 +94,11 @@ def rearing_base_chart(length: Number) -> Chart:
     """
 
     def crossing(owner: Any, unit: Number, ahead: Number, above: Number, pitch: Number) -> Float[Array, " 3"]:
-        return stack_point(0.0, -ahead * unit, above * unit)
+        return stack_components(0.0, -ahead * unit, above * unit)
 
     def at(owner: Any, side: float, unit: Number, depth: Number, ahead: Number, above: Number, pitch: Number) -> Array:
         angle = nose_up(owner, unit, ahead, above, pitch)
-        return crossing(owner, unit, ahead, above, pitch) + length / 2 * stack_point(
+        return crossing(owner, unit, ahead, above, pitch) + length / 2 * stack_components(
             0.0, jnp.cos(angle), jnp.sin(angle)
         )
 
@@ -121,10 +121,10 @@ def point_ahead(forward: ForwardDirection, aside: Number, ahead: Number, up: Num
         The point (m, world axes).
     """
     x, y = forward
-    return stack_point(ahead * x - aside * y, ahead * y + aside * x, up)
+    return stack_components(ahead * x - aside * y, ahead * y + aside * x, up)
 
 
-def stack_point(x: Number, y: Number, z: Number) -> Float[Array, " 3"]:
+def stack_components(x: Number, y: Number, z: Number) -> Float[Array, " 3"]:
     """Stack three numbers, which may be traced, into a vector (3,).
 
     Args:

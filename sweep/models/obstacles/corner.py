@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.obstacles.base import StaticObstacle
-from sweep.models.obstacles.charts import Chart, Number, approach_charts, edge_chart, stack_point
+from sweep.models.obstacles.charts import Chart, Number, approach_charts, edge_chart, stack_components
 from sweep.models.obstacles.surface import BodyPoses, Surface
 from sweep.models.solids import HalfSpace, Prism, Solid, array_module
 
@@ -21,14 +21,14 @@ def wall_point(
 ) -> Float[Array, " 3"]:
     """Return a foothold on a wall (m), given `aside` of the house's vertical edge and `above` the roof."""
     x = aside * unit
-    return stack_point(side * x, -x / jnp.tan(obstacle.half_angle), obstacle.height + above * unit)
+    return stack_components(side * x, -x / jnp.tan(obstacle.half_angle), obstacle.height + above * unit)
 
 
 def roof_point(
     obstacle: "Corner", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
     """Return a foothold on the roof (m), given `aside` of the middle and `ahead` of the house's vertical edge."""
-    return stack_point(side * (aside * unit), -ahead * unit, obstacle.height)
+    return stack_components(side * (aside * unit), -ahead * unit, obstacle.height)
 
 
 @parameters

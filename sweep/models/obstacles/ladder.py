@@ -16,9 +16,9 @@ from sweep.core.parameters import choice, count, parameters, quantity
 from sweep.core.rotations import matrix
 from sweep.models.frames import body_frame_number
 from sweep.models.obstacles.base import ObstacleDefaults
-from sweep.models.obstacles.charts import ALONG_Y, Chart, Number, approach_charts, level_ground_charts, stack_point
+from sweep.models.obstacles.charts import ALONG_Y, Chart, Number, approach_charts, level_ground_charts, stack_components
 from sweep.models.obstacles.geoms import add_contact_pair, add_solids, hidden_geom_options
-from sweep.models.obstacles.surface import FOOT_RADIUS, BodyPoses, FreeState, Surface, identity_poses
+from sweep.models.obstacles.surface import FOOT_RADIUS, BodyPoses, FreeBodyState, Surface, identity_poses
 from sweep.models.solids import SOIL, Box, HalfSpace, Solid
 
 if TYPE_CHECKING:
@@ -36,10 +36,10 @@ def rung_point(
     obstacle: "Ladder", side: float, unit: Number, depth: Number, rung: Number, aside: Number, out: Number
 ) -> Float[Array, " 3"]:
     """Return a foothold on a rung (m), from the rung's number and distances `aside` and `out` of the ladder's plane."""
-    return stack_point(side * aside * unit, obstacle.y_at_rung(rung) + depth, out * obstacle.rung_depth)
+    return stack_components(side * aside * unit, obstacle.y_at_rung(rung) + depth, out * obstacle.rung_depth)
 
 
-def base_along_ladder(
+def base_position_along_ladder(
     obstacle: "Ladder", side: float, unit: Number, depth: Number, up: Number, out: Number, pitch: Number,
     more_ahead: Number = 0.0, more_out: Number = 0.0, more_pitch: Number = 0.0,
 ) -> Float[Array, " 3"]:  # fmt: skip
@@ -48,14 +48,14 @@ def base_along_ladder(
     `more_ahead`, `more_out` and `more_pitch` move the base with the ladder's `ledge_extra_height`: shares of it along
     the ladder and out of its plane, and shares of the lean for every unit of it.
     """
-    return stack_point(
+    return stack_components(
         0.0,
         obstacle.y_at_rung(up) - more_ahead * obstacle.ledge_extra_height,
         out * unit + more_out * obstacle.ledge_extra_height,
     )
 
 
-def base_over_ledge(
+def base_position_over_ledge(
     obstacle: "Ladder", side: float, unit: Number, depth: Number, ahead: Number, above: Number, pitch: Number,
     more_ahead: Number = 0.0, more_out: Number = 0.0, more_pitch: Number = 0.0,
 ) -> Float[Array, " 3"]:  # fmt: skip
@@ -64,7 +64,7 @@ def base_over_ledge(
     angle = jnp.asarray(base_pitch(obstacle, unit, ahead, above, pitch, more_ahead, more_out, more_pitch))
     sin, cos = jnp.sin(angle), jnp.cos(angle)
     y, z = back * cos + out * sin - ahead * unit, out * cos - back * sin + above * unit
-    return stack_point(0.0, y, obstacle.ledge_height + z)
+    return stack_components(0.0, y, obstacle.ledge_height + z)
 
 
 def base_pitch(
@@ -108,34 +108,37 @@ class Ladder(ObstacleDefaults):
     # of feet, then of bases; feet on rungs, and the base along it, go with the ladder
     charts: ClassVar = {
         "rung": Chart(("rung", "aside", "out"), rung_point, body_frame_number(0)),
-        **approach_charts(lambda obstacle: -obstacle.foot_distance),
+        **approach_charts(lambda obstacle: -obstacle.lower_end_wall_distance),
         "ledge": LEDGE_CHART,
         "along": Chart(
             ("up", "out", "pitch", *EXTRA_BASE_COORDINATES),
-            base_along_ladder,
+            base_position_along_ladder,
             body_frame_number(0),
             pitch=base_pitch,
             optional_count=3,
         ),
         "over": Chart(
-            ("ahead", "above", "pitch", *EXTRA_BASE_COORDINATES), base_over_ledge, pitch=base_pitch, optional_count=3
+            ("ahead", "above", "pitch", *EXTRA_BASE_COORDINATES),
+            base_position_over_ledge,
+            pitch=base_pitch,
+            optional_count=3,
         ),
     }
     free_bodies = ("ladder",)
-    stood_on = ("rung_step", "length", "ledge_height")
+    sizes_learnable_from_feet = ("rung_step", "length", "ledge_height")
     contact_sites = (("lower_right", 0), ("lower_left", 0), ("upper_right", 0), ("upper_left", 0))
 
     @property
-    def mass_centre_distance(self) -> Array | float:
+    def mass_centre_along_rails(self) -> Array | float:
         """Distance (m) of the ladder's mass centre from the lower ends of its rails, along the rails."""
         rails, rungs = self._volumes()
         middle = (0.5 + 0.5 * self.rungs) * self.rung_step - self.rung_height / 2
         return (rails * self.length / 2 + rungs * middle) / (rails + rungs)
 
     @property
-    def foot_distance(self) -> Array:
+    def lower_end_wall_distance(self) -> Array:
         """Distance (m) of the ladder's lower end from the wall at the start."""
-        return self.start().position[0, 1] + self.mass_centre_distance * jnp.cos(jnp.asarray(self.lean))
+        return self.start().position[0, 1] + self.mass_centre_along_rails * jnp.cos(jnp.asarray(self.lean))
 
     @property
     def ledge_extra_height(self) -> Array | float:
@@ -144,12 +147,12 @@ class Ladder(ObstacleDefaults):
 
     def y_at_rung(self, rungs: Array | float) -> Array | float:
         """Return the coordinate y (m, ladder axes) of a height given in rungs; whole numbers are tops of rungs."""
-        return self.mass_centre_distance - rungs * self.rung_step
+        return self.mass_centre_along_rails - rungs * self.rung_step
 
     @property
     def landmarks(self) -> Float[Array, "1 3"]:
         """Point of the ladder that the robot observes: the middle between the rails' lower ends (m, ladder axes)."""
-        return stack_point(0.0, self.mass_centre_distance, 0.0)[None]
+        return stack_components(0.0, self.mass_centre_along_rails, 0.0)[None]
 
     def _volumes(self) -> tuple[Array | float, Array | float]:
         """Volume of both rails, and of all rungs (m^3)."""
@@ -159,12 +162,16 @@ class Ladder(ObstacleDefaults):
     def bars(self) -> LadderBars:
         """Return the boxes of the ladder's rails and rungs, in the ladder's axes."""
         aside = (self.width + self.rail_breadth) / 2
-        rail = stack_point(self.rail_breadth / 2, self.length / 2, self.rail_depth / 2)
-        rung = stack_point(self.width / 2, self.rung_height / 2, self.rung_depth / 2)
-        middles = [stack_point(side * aside, self.mass_centre_distance - self.length / 2, 0.0) for side in SIDES]
-        tops = [self.mass_centre_distance - k * self.rung_step + self.rung_height / 2 for k in range(1, self.rungs + 1)]
+        rail = stack_components(self.rail_breadth / 2, self.length / 2, self.rail_depth / 2)
+        rung = stack_components(self.width / 2, self.rung_height / 2, self.rung_depth / 2)
+        middles = [
+            stack_components(side * aside, self.mass_centre_along_rails - self.length / 2, 0.0) for side in SIDES
+        ]
+        tops = [
+            self.mass_centre_along_rails - k * self.rung_step + self.rung_height / 2 for k in range(1, self.rungs + 1)
+        ]
         return LadderBars(
-            jnp.stack([*middles, *(stack_point(0.0, top, 0.0) for top in tops)]),
+            jnp.stack([*middles, *(stack_components(0.0, top, 0.0) for top in tops)]),
             jnp.stack([rail] * 2 + [rung] * self.rungs),
         )
 
@@ -206,9 +213,9 @@ class Ladder(ObstacleDefaults):
         mass = self.mass * volume / jnp.sum(volume)
         squares = bars.half**2 / 3 + bars.centre**2
         inertia = jnp.sum(mass[:, None] * (jnp.sum(squares, axis=-1, keepdims=True) - squares), axis=0)
-        ends = {"lower": self.mass_centre_distance, "upper": self.mass_centre_distance - self.length}
+        ends = {"lower": self.mass_centre_along_rails, "upper": self.mass_centre_along_rails - self.length}
         aside, inner = (self.width + self.rail_breadth) / 2, -self.rail_depth / 2
-        sites = {f"{end}_{side}": stack_point(sign * aside, y, inner)
+        sites = {f"{end}_{side}": stack_components(sign * aside, y, inner)
                  for end, y in ends.items() for side, sign in zip(("right", "left"), SIDES, strict=True)}  # fmt: skip
         return {
             "body_mass": {"ladder": jnp.asarray(self.mass)},
@@ -216,14 +223,14 @@ class Ladder(ObstacleDefaults):
             "site_pos": sites,
         }
 
-    def start(self) -> FreeState:
+    def start(self) -> FreeBodyState:
         """Return the ladder's state at the start: at rest, at a distance `gap` from floor and wall."""
         lean, edge = jnp.asarray(self.lean), self.rail_depth / 2
         sin, cos, zero = jnp.sin(lean), jnp.cos(lean), jnp.zeros_like(lean)
-        y = self.gap + (self.length - self.mass_centre_distance) * cos + edge * sin
-        z = self.gap + self.mass_centre_distance * sin + edge * cos
+        y = self.gap + (self.length - self.mass_centre_along_rails) * cos + edge * sin
+        z = self.gap + self.mass_centre_along_rails * sin + edge * cos
         quat = jnp.stack([jnp.cos(lean / 2), -jnp.sin(lean / 2), zero, zero])
-        return FreeState(stack_point(0.0, y, z)[None], quat[None], jnp.zeros((1, 3)), jnp.zeros((1, 3)))
+        return FreeBodyState(stack_components(0.0, y, z)[None], quat[None], jnp.zeros((1, 3)), jnp.zeros((1, 3)))
 
     def start_poses(self) -> BodyPoses:
         """Pose of the ladder at the start of a rollout."""

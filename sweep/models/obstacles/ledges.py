@@ -12,9 +12,9 @@ from jaxtyping import Array, Float
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.frames import koenig_frame_number
 from sweep.models.obstacles.ball import Ball
-from sweep.models.obstacles.charts import Chart, Number, level_ground_charts, stack_point
+from sweep.models.obstacles.charts import Chart, Number, level_ground_charts, stack_components
 from sweep.models.obstacles.geoms import add_contact_pair
-from sweep.models.obstacles.surface import BodyPoses, FreeState, RollingResistance, Surface, critical_damping
+from sweep.models.obstacles.surface import BodyPoses, FreeBodyState, RollingResistance, Surface, critical_damping
 from sweep.models.solids import SOIL, Box, Solid
 
 if TYPE_CHECKING:
@@ -26,11 +26,11 @@ NEAR_LEDGE_CHART, _ = level_ground_charts(lambda obstacle: (0.0, obstacle.height
 FAR_LEDGE_CHART, _ = level_ground_charts(lambda obstacle: (obstacle.width, obstacle.height))
 
 
-def base_between(
+def base_position_between_ledges(
     obstacle: "Ledges", side: float, unit: Number, depth: Number, ahead: Number, above: Number
 ) -> Float[Array, " 3"]:
     """Return a base position (m) `ahead` of the ball's centre and `above` half the ledges' height."""
-    return stack_point(ahead * obstacle.radius, 0.0, 0.5 * obstacle.height + above * unit)
+    return stack_components(ahead * obstacle.radius, 0.0, 0.5 * obstacle.height + above * unit)
 
 
 @parameters
@@ -41,7 +41,7 @@ class Ledges(Ball):
         **Ball.charts,
         "near": NEAR_LEDGE_CHART,
         "far": FAR_LEDGE_CHART,
-        "between": Chart(("ahead", "above"), base_between, koenig_frame_number(0)),
+        "between": Chart(("ahead", "above"), base_position_between_ledges, koenig_frame_number(0)),
     }
     kind: str = choice("ledges", "ledges")
     radius: float = quantity(0.8, "m", above=0)  # R, of the ball
@@ -60,10 +60,10 @@ class Ledges(Ball):
         for name in ("near_ledge", "far_ledge"):
             add_contact_pair(spec, name, "ball", friction * self.wall_grip, self.impact_damping)
 
-    def start(self) -> FreeState:
+    def start(self) -> FreeBodyState:
         """Return the start state: the ball at rest beside the near wall."""
         free = super().start()
-        place = stack_point(self.radius + self.gap, self.offset, 0.0)
+        place = stack_components(self.radius + self.gap, self.offset, 0.0)
         return free._replace(position=free.position + place)
 
     @property

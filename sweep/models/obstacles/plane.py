@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.obstacles.base import StaticObstacle
-from sweep.models.obstacles.charts import ALONG_X, Chart, Number, stack_point
+from sweep.models.obstacles.charts import ALONG_X, Chart, Number, stack_components
 from sweep.models.obstacles.surface import BodyPoses, Surface
 from sweep.models.solids import HalfSpace, Solid, array_module
 
@@ -16,14 +16,14 @@ def ground_point(
     obstacle: "Plane", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
     """Return a foothold on the ground (m) from its coordinates `aside` and `ahead` of the world's origin."""
-    return obstacle.rotation() @ stack_point(ahead * unit, side * aside * unit, -depth)
+    return obstacle.rotation() @ stack_components(ahead * unit, side * aside * unit, -depth)
 
 
-def base_over_ground(
+def base_position_over_ground(
     obstacle: "Plane", side: float, unit: Number, depth: Number, ahead: Number, above: Number, pitch: Number = 0.0
 ) -> Float[Array, " 3"]:
     """Return a base position (m), `ahead` of the origin and `above` the ground, for a base pitched by `pitch` (deg)."""
-    return obstacle.rotation() @ stack_point(ahead * unit, 0.0, above * unit)
+    return obstacle.rotation() @ stack_components(ahead * unit, 0.0, above * unit)
 
 
 def base_pitch(obstacle: "Plane", unit: Number, ahead: Number, above: Number, pitch: Number = 0.0) -> Array:
@@ -38,7 +38,9 @@ class Plane(StaticObstacle):
     # of feet, then of bases
     charts: ClassVar = {
         "ground": Chart(("aside", "ahead"), ground_point),
-        "over_ground": Chart(("ahead", "above", "pitch"), base_over_ground, pitch=base_pitch, optional_count=1),
+        "over_ground": Chart(
+            ("ahead", "above", "pitch"), base_position_over_ground, pitch=base_pitch, optional_count=1
+        ),
     }
     forward = ALONG_X
     kind: str = choice("plane", "plane")

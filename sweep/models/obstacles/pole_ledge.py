@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.obstacles.base import StaticObstacle
-from sweep.models.obstacles.charts import Chart, Number, approach_charts, edge_chart, stack_point
+from sweep.models.obstacles.charts import Chart, Number, approach_charts, edge_chart, stack_components
 from sweep.models.obstacles.surface import BodyPoses, Surface
 from sweep.models.solids import SOIL, Box, Cylinder, HalfSpace, Solid
 
@@ -19,7 +19,7 @@ def side_point(
 ) -> Float[Array, " 3"]:
     """Return a foothold on the pole's side (m), `ahead` of its axis (in pole radii) and `above` its top."""
     y = -ahead * obstacle.radius
-    return stack_point(
+    return stack_components(
         side * jnp.sqrt(jnp.asarray(obstacle.radius - depth) ** 2 - y**2), y, obstacle.height + above * unit
     )
 
@@ -28,14 +28,16 @@ def top_point(
     obstacle: "PoleLedge", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
     """Return a foothold on the pole's top (m), `aside` and `ahead` of its axis (in pole radii)."""
-    return stack_point(side * aside * obstacle.radius, -ahead * obstacle.radius, obstacle.height - depth)
+    return stack_components(side * aside * obstacle.radius, -ahead * obstacle.radius, obstacle.height - depth)
 
 
 def ledge_point(
     obstacle: "PoleLedge", side: float, unit: Number, depth: Number, aside: Number, ahead: Number
 ) -> Float[Array, " 3"]:
     """Return a foothold on the ledge (m), `aside` of the middle (in pole radii) and `ahead` of the ledge's edge."""
-    return stack_point(side * aside * obstacle.radius, -obstacle.radius - ahead * unit, obstacle.ledge_height - depth)
+    return stack_components(
+        side * aside * obstacle.radius, -obstacle.radius - ahead * unit, obstacle.ledge_height - depth
+    )
 
 
 @parameters

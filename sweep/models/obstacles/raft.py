@@ -17,9 +17,9 @@ from sweep.formulas.drag import raft_drag
 from sweep.formulas.raft_statics import buoyancy
 from sweep.models.frames import body_frame_number
 from sweep.models.obstacles.base import ObstacleDefaults
-from sweep.models.obstacles.charts import ALONG_X, level_ground_charts, stack_point
+from sweep.models.obstacles.charts import ALONG_X, level_ground_charts, stack_components
 from sweep.models.obstacles.geoms import RENDER_GROUP, add_contact_pair, add_solids
-from sweep.models.obstacles.surface import BodyPoses, FreeState, Surface, critical_damping, identity_poses
+from sweep.models.obstacles.surface import BodyPoses, FreeBodyState, Surface, critical_damping, identity_poses
 from sweep.models.solids import SOIL, Box, Solid
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ class Raft(ObstacleDefaults):
     @property
     def half_size(self) -> Float[Array, " 3"]:
         """Half length, half width and half thickness a, b, d (m)."""
-        return 0.5 * stack_point(self.length, self.width, self.thickness)
+        return 0.5 * stack_components(self.length, self.width, self.thickness)
 
     @property
     def mass(self) -> Array | float:
@@ -127,11 +127,13 @@ class Raft(ObstacleDefaults):
             "site_pos": {name: sides * jnp.array([*corner, 0.0]) for (name, _), corner in sites},
         }
 
-    def start(self) -> FreeState:
+    def start(self) -> FreeBodyState:
         """Return the start state of the raft: afloat and at rest."""
         half, still = self.half_size, jnp.zeros((1, 3))
         x, z = half[0] + self.gap, half[2] - self.draught(self.laden) - self.bank_height
-        return FreeState(jnp.stack([x, jnp.zeros_like(x), z])[None], jnp.array([[1.0, 0.0, 0.0, 0.0]]), still, still)
+        return FreeBodyState(
+            jnp.stack([x, jnp.zeros_like(x), z])[None], jnp.array([[1.0, 0.0, 0.0, 0.0]]), still, still
+        )
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
         """Return banks and raft as solids; the banks end where no robot reaches."""
@@ -143,7 +145,7 @@ class Raft(ObstacleDefaults):
                 half=(self.length / 2, self.width / 2, self.thickness / 2)),
         )  # fmt: skip
 
-    def external_wrench(self, free: FreeState) -> Float[Array, "1 6"]:
+    def external_wrench(self, free: FreeBodyState) -> Float[Array, "1 6"]:
         """Return the wrench of buoyancy, drag in the current, and mooring ropes on the raft: monograph 4.1.
 
         It assumes that the whole bottom is wet and the deck is dry.
@@ -159,7 +161,7 @@ class Raft(ObstacleDefaults):
         force, torque = rotation @ (lift.F + drag.R), rotation @ (lift.M + drag.N)
         return jnp.concatenate([force, torque])[None] + ropes
 
-    def _ropes(self, free: FreeState) -> Float[Array, " 6"]:
+    def _ropes(self, free: FreeBodyState) -> Float[Array, " 6"]:
         """Wrench of ropes that hold the raft's position and heading, critically damped."""
         a, b, _ = self.half_size
         start, damping = self.start(), 2 * jnp.sqrt(self.mooring * self.mass)

@@ -19,7 +19,7 @@ IMPACT_STIFFNESS = 1e6  # N/m, of the contact that an obstacle's `impact_damping
 FOOT_RADIUS = 1e-3  # m, of the native engine's spheres: a larger one rolls under the drives and drifts
 
 
-class FreeState(NamedTuple):
+class FreeBodyState(NamedTuple):
     """Poses and velocities of the obstacle's k free bodies, world axes; made by engines and estimators."""
 
     position: Float[Array, "k 3"]  # m, of the body frame, which is at the mass centre
@@ -35,14 +35,14 @@ class BodyPoses(NamedTuple):
     rotation: Float[Array, "k 3 3"]  # body to world
 
 
-def body_poses(free: FreeState) -> BodyPoses:
+def body_poses(free: FreeBodyState) -> BodyPoses:
     """Return the poses of free bodies from their state, without the velocities."""
     return BodyPoses(free.position, matrix(free.quat))
 
 
-def no_free_bodies() -> FreeState:
+def empty_free_body_state() -> FreeBodyState:
     """Return an empty state, for obstacles without free bodies."""
-    return FreeState(jnp.zeros((0, 3)), jnp.zeros((0, 4)), jnp.zeros((0, 3)), jnp.zeros((0, 3)))
+    return FreeBodyState(jnp.zeros((0, 3)), jnp.zeros((0, 4)), jnp.zeros((0, 3)), jnp.zeros((0, 3)))
 
 
 def identity_poses(count: int) -> BodyPoses:
@@ -106,12 +106,12 @@ class Obstacle(Protocol):
         ...
 
     @property
-    def lying(self) -> tuple[str, ...]:
+    def sizes_learnable_from_height(self) -> tuple[str, ...]:
         """Names of the size parameters that the robot can estimate from how high free bodies lie on the floor."""
         ...
 
     @property
-    def stood_on(self) -> tuple[str, ...]:
+    def sizes_learnable_from_feet(self) -> tuple[str, ...]:
         """Names of sizes that the robot can estimate from feet on free bodies; without free bodies, all sizes."""
         ...
 
@@ -127,7 +127,7 @@ class Obstacle(Protocol):
         """Return the solids of the obstacle, with its free bodies at the poses `bodies`."""
         ...
 
-    def external_wrench(self, free: FreeState) -> Float[Array, "k 6"] | None:
+    def external_wrench(self, free: FreeBodyState) -> Float[Array, "k 6"] | None:
         """Return force (N) and torque (N m) on each free body other than weight and contact, world axes; None if there
         are none.
 
@@ -144,7 +144,7 @@ class Obstacle(Protocol):
 class MovingObstacle(Obstacle, Protocol):
     """An obstacle that has free bodies."""
 
-    def start(self) -> FreeState:
+    def start(self) -> FreeBodyState:
         """Return the state of the free bodies at the start of a rollout."""
         ...
 
@@ -164,7 +164,7 @@ def landmarks(obstacle: Obstacle) -> Float[Array, "k 3"]:
     return obstacle.landmarks if isinstance(obstacle, LandmarkedObstacle) else jnp.zeros((len(obstacle.free_bodies), 3))
 
 
-def landmark_state(obstacle: Obstacle, free: FreeState) -> FreeState:
+def landmark_state(obstacle: Obstacle, free: FreeBodyState) -> FreeBodyState:
     """Convert poses and velocities of free bodies from their mass centres to the observed points (landmarks).
 
     Args:
@@ -177,7 +177,7 @@ def landmark_state(obstacle: Obstacle, free: FreeState) -> FreeState:
     return _shift(free, obstacle.landmarks) if isinstance(obstacle, LandmarkedObstacle) else free
 
 
-def state_from_landmarks(obstacle: Obstacle, marks: FreeState) -> FreeState:
+def state_from_landmarks(obstacle: Obstacle, marks: FreeBodyState) -> FreeBodyState:
     """Convert poses and velocities of free bodies from observed points (landmarks) to their mass centres.
 
     Args:
@@ -190,15 +190,15 @@ def state_from_landmarks(obstacle: Obstacle, marks: FreeState) -> FreeState:
     return _shift(marks, -obstacle.landmarks) if isinstance(obstacle, LandmarkedObstacle) else marks
 
 
-def _shift(free: FreeState, by: Float[Array, "k 3"]) -> FreeState:
+def _shift(free: FreeBodyState, by: Float[Array, "k 3"]) -> FreeBodyState:
     arm = rotate(free.quat, by)
     return free._replace(position=free.position + arm, velocity=free.velocity + jnp.cross(free.turn, arm))
 
 
-def free_start_state(obstacle: Obstacle) -> FreeState:
+def free_start_state(obstacle: Obstacle) -> FreeBodyState:
     """Return the state of an obstacle's free bodies at the start of a rollout; empty if it has none."""
     if not obstacle.free_bodies:
-        return no_free_bodies()
+        return empty_free_body_state()
     assert isinstance(obstacle, MovingObstacle), f"{obstacle.kind} lacks a member of MovingObstacle"
     return obstacle.start()
 

@@ -12,9 +12,9 @@ from jaxtyping import Array, Float
 from sweep.core.parameters import choice, parameters, quantity
 from sweep.models.frames import body_frame_number, koenig_frame_number
 from sweep.models.obstacles.ball import BALL, Ball, cap_point
-from sweep.models.obstacles.charts import Chart, Number, stack_point
+from sweep.models.obstacles.charts import Chart, Number, stack_components
 from sweep.models.obstacles.geoms import add_contact_pair
-from sweep.models.obstacles.surface import BodyPoses, FreeState, RollingResistance, Surface, critical_damping
+from sweep.models.obstacles.surface import BodyPoses, FreeBodyState, RollingResistance, Surface, critical_damping
 from sweep.models.solids import Solid, Sphere
 
 if TYPE_CHECKING:
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 SECOND_BALL = BALL + 1
 
 
-def base_above_ball(
+def base_position_above_ball(
     obstacle: "TwoBalls", side: float, unit: Number, depth: Number, ahead: Number, above: Number
 ) -> Float[Array, " 3"]:
     """Return a base position (m) `ahead` of a ball's centre (in radii) and `above` its top (in plan units)."""
-    return stack_point(ahead * obstacle.radius, 0.0, obstacle.radius + above * unit)
+    return stack_components(ahead * obstacle.radius, 0.0, obstacle.radius + above * unit)
 
 
 @parameters
@@ -37,8 +37,8 @@ class TwoBalls(Ball):
     charts: ClassVar = {
         **Ball.charts,
         "second": Chart(("aside", "ahead"), cap_point, koenig_frame_number(1), body_frame_number(1)),
-        "above": Chart(("ahead", "above"), base_above_ball, koenig_frame_number(0)),
-        "above_second": Chart(("ahead", "above"), base_above_ball, koenig_frame_number(1)),
+        "above": Chart(("ahead", "above"), base_position_above_ball, koenig_frame_number(0)),
+        "above_second": Chart(("ahead", "above"), base_position_above_ball, koenig_frame_number(1)),
     }
     kind: str = choice("two_balls", "two_balls")
     mass: float = quantity(400.0, "kg", above=0)  # M, of each
@@ -62,15 +62,15 @@ class TwoBalls(Ball):
             field: dict.fromkeys(self.free_bodies, of["ball"]) for field, of in super().batched_model_fields().items()
         }
 
-    def start(self) -> FreeState:
+    def start(self) -> FreeBodyState:
         """Return the start state of both balls, at rest or rolling without slip."""
         first = super().start()
         ahead = 2 * self.radius + self.gap
-        place = stack_point(ahead, self.offset, self.radius)[None]
+        place = stack_components(ahead, self.offset, self.radius)[None]
         velocity = self.second_speed * jnp.array([[1.0, 0.0, 0.0]])
         turn = self.second_speed / self.radius * jnp.array([[0.0, 1.0, 0.0]])
-        second = FreeState(place, first.quat, velocity, turn)
-        return FreeState(*[jnp.concatenate(both) for both in zip(first, second, strict=True)])
+        second = FreeBodyState(place, first.quat, velocity, turn)
+        return FreeBodyState(*[jnp.concatenate(both) for both in zip(first, second, strict=True)])
 
     def solids(self, bodies: BodyPoses) -> tuple[Solid, ...]:
         """Return the floor and both balls as solids."""

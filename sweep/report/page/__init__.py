@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from sweep.analysis.expectations import judge_expectations
-from sweep.analysis.sample import pooled_rate
+from sweep.analysis.sample import pooled_success_rate
 from sweep.analysis.sampling_units import has_independent_rows, independent_unit, interval_method
 from sweep.config.experiment import Experiment
 from sweep.core.files import path_inside_folder, read_bytes_limited, write_atomically
@@ -40,7 +40,7 @@ from sweep.report.representative import Representative, find_representatives
 from sweep.report.statistics import labelled_sections
 from sweep.runs import audit, store
 from sweep.runs.results import Results
-from sweep.runs.unsearched_values import describe_unsearched_values
+from sweep.runs.unsearched_values import describe_values_outside_tuned_range
 from sweep.study.columns import LABEL_COLUMNS
 
 MAX_TABLE_ROWS, MAX_LINES = 100, 100  # of the table at the end, and of the others
@@ -89,7 +89,7 @@ def write_page(results: Results, path: Path, **options: Any) -> Path:
 
 
 @dataclass(frozen=True)
-class PairsContent:
+class ComparisonPageContent:
     """Headline, figures and tables of a page that compares two studies."""
 
     name: str
@@ -105,7 +105,7 @@ def render_page(
     shown: list[ShownReplay] | None = None,
     chosen: tuple[str, ...] = (),
     opened: int = 0,
-    pairs: PairsContent | None = None,
+    pairs: ComparisonPageContent | None = None,
 ) -> str:
     """Render the page of a study as HTML.
 
@@ -124,10 +124,10 @@ def render_page(
     style, script = style_sheet(), bundle_script()
     plates = [make_page_figure(one) for one in (pairs.figures if pairs else list_figures(results))]
     typicals = [
-        (one, picture_url(one), list(representative_values(one, results.exp)))
+        (one, representative_picture_url(one), list(representative_values(one, results.exp)))
         for one in (() if pairs else find_representatives(results))
     ]
-    rate = pooled_rate(rows, results.exp)
+    rate = pooled_success_rate(rows, results.exp)
     # the script's own intervals and tests take every row as independent
     independent = not pairs and has_independent_rows(rows, results.exp)
     estimate = None if pairs else opening.describe_estimate(results)
@@ -137,7 +137,7 @@ def render_page(
         "sure": rate.has_interval and independent,
         "independent": independent,
         "adaptive": results.exp.study.is_adaptive and not pairs,
-        "curves": [] if pairs else list(data.alone_curves(results)),
+        "curves": [] if pairs else list(data.single_parameter_curves(results)),
         "sides": data.describe_sides(results, pairs.sides, pairs.folders) if pairs else None,
         "estimate": estimate[0] if estimate else None,
         "region": region[0] if region else None,
@@ -180,9 +180,9 @@ def render_page(
         estimate=about["estimate"],
         region=about["region"],
         plates=plates,
-        expectations=[] if pairs else list(check_expectations(results)),
+        expectations=[] if pairs else list(expectation_results(results)),
         parameters=list(tables.varied_parameters(results)),
-        unsearched=[] if pairs else describe_unsearched_values(results.exp, rows),
+        unsearched=[] if pairs else describe_values_outside_tuned_range(results.exp, rows),
         reasons=[
             (cause, words, int((rows["cause"] == cause).sum())) for cause, words in results.occurring_causes.items()
         ],
@@ -210,7 +210,7 @@ def make_page_figure(figure: StudyFigure) -> PageFigure:
         )
 
 
-def check_expectations(results: Results) -> Iterator[tuple[str, str]]:
+def expectation_results(results: Results) -> Iterator[tuple[str, str]]:
     """Yield each expectation of the study with `met` or the actual result."""
     expectations = results.exp.study.expect
     for one, line in zip(expectations, judge_expectations(expectations, results.rows, results.exp), strict=True):
@@ -242,14 +242,14 @@ def representative_values(representative: Representative, exp: Experiment) -> It
             yield heading(name, exp), shown
 
 
-def picture_url(representative: Representative) -> str:
+def representative_picture_url(representative: Representative) -> str:
     """Return the data URL of a representative rollout's picture; empty if there is none."""
     return data_url(read_bytes_limited(representative.picture)) if representative.picture.exists() else ""
 
 
 def first_rows_table(rows: pd.DataFrame, exp: Experiment) -> Markup:
     """Return the first rows of the study as an HTML table: identity and outcome first, then parameters."""
-    axes = [c for c in tables.readable_columns(rows) if c not in LABEL_COLUMNS]
+    axes = [c for c in tables.readable_table_columns(rows) if c not in LABEL_COLUMNS]
     columns = ["point_id", *LABEL_COLUMNS, *axes]
     return table_as_html(
         tables.format_rows(rows[columns], exp), index=True, hints=[hover_text(c, exp) for c in columns]

@@ -13,17 +13,17 @@ import numpy as np
 import pandas as pd
 
 from sweep.analysis import sensitivity
-from sweep.analysis.sample import sample_indices
+from sweep.analysis.sample import random_subset_indices
 from sweep.contract.system import split_side_prefix
 from sweep.core.distinct_values import has_several_values
-from sweep.core.files import encode_text
+from sweep.core.files import deflate_to_base64
 from sweep.core.json_values import to_json_value
 from sweep.report import analytic_curves
 from sweep.report.figures import effects_figure, metric_thresholds, metrics_with_threshold_first
 from sweep.report.headline import describe_setup
 from sweep.report.labels import (
+    explain_outcome_kind,
     hover_text,
-    kind_meaning,
     label_and_unit,
     outcome_kind,
     shorten_file_names,
@@ -73,7 +73,7 @@ def page_data(results: Results, chosen: tuple[str, ...] = (), derived: Sequence[
             "unit": label_and_unit(c, results.exp)[1],
             "path": hover_text(c, results.exp),
             "axis": c in axes,
-            "drawn": c not in (*results.listed_numeric_columns, *results.categorical_columns),
+            "drawn": c not in (*results.numeric_grid_columns, *results.categorical_columns),
             "diverges": c == "margin",
             "limit": judged.get(c),
             **about,
@@ -85,11 +85,13 @@ def page_data(results: Results, chosen: tuple[str, ...] = (), derived: Sequence[
         | {"limit": None, "derived": True, "names": one.names}
         for one in derived
     ]
-    words_of_rows = [split_bytes(np.where(one.codes[sampled] < 0, MISSING_CODE, one.codes[sampled])) for one in derived]
+    words_of_rows = [
+        split_byte_planes(np.where(one.codes[sampled] < 0, MISSING_CODE, one.codes[sampled])) for one in derived
+    ]
     # of a map: two listed numbers; elsewhere the script takes what matters most
     first = (
-        results.listed_numeric_columns[:2]
-        if len(results.listed_numeric_columns) > 1 and not results.is_one_at_a_time
+        results.numeric_grid_columns[:2]
+        if len(results.numeric_grid_columns) > 1 and not results.is_one_at_a_time
         else []
     )
     stages = [*results.stages, *sorted(set(rows["stage"].astype(str)) - {*results.stages, ""})]
@@ -108,13 +110,13 @@ def page_data(results: Results, chosen: tuple[str, ...] = (), derived: Sequence[
         "stages": stages,
         "columns": columns,
         "digits": POINT_ID_DIGITS,
-        "block": encode_text(b"".join(blocks)),
+        "block": deflate_to_base64(b"".join(blocks)),
         "one_at_a_time": results.is_one_at_a_time,
         "start": [c for c in (*chosen, *first) if c in (*axes, *figures)][:2],
         "theory": list(limit_curves(results, rows)),
         "refined_cells": refined_cells(results) if len(rows) == len(results.rows) else None,
         "effects": total_effects_of_refined_map(results),
-        "densities": list(count_densities(results, kinds)) if len(rows) < len(results.rows) else [],
+        "densities": list(count_rows_in_bins(results, kinds)) if len(rows) < len(results.rows) else [],
     }
 
 
@@ -140,13 +142,13 @@ def describe_sides(results: Results, sides: Mapping[str, pd.DataFrame], folders:
         "counts": [
             {"success": int(one.get("success", 0)), "valid": int(one.sum() - one.get("invalid", 0))} for one in counts
         ],
-        "block": encode_text(b"".join(one.tobytes() for one in kinds)),
+        "block": deflate_to_base64(b"".join(one.tobytes() for one in kinds)),
     }
 
 
 def sample_row_indices(number: int) -> np.ndarray:
     """Return the indices of the rows that a page stores: all, or a random sample if there are too many."""
-    return sample_indices(number, SAMPLE_SIZE if number > MAX_ROWS else number)
+    return random_subset_indices(number, SAMPLE_SIZE if number > MAX_ROWS else number)
 
 
 def json_for_script_element(content: Any) -> str:
@@ -168,7 +170,7 @@ def outcome_kinds_for_page(results: Results) -> list[dict[str, Any]]:
         {
             "key": name,
             "label": name.replace("_", " ") or "no cause",
-            "meaning": kind_meaning(name, results.exp) if name in known else "",
+            "meaning": explain_outcome_kind(name, results.exp) if name in known else "",
             "count": int(counts[name]),
             "colour": find_style(name).colour,
             "shape": find_style(name).shape.round(3).ravel().tolist(),
@@ -185,24 +187,24 @@ def encode_column(values: pd.Series, bits: int) -> tuple[dict[str, Any], bytes]:
     """
     if values.dtype.kind not in "fiub":
         codes, levels = pd.factorize(values.astype(str), sort=True)
-        return {"names": shorten_file_names([str(one) for one in levels])}, split_bytes(np.asarray(codes))
+        return {"names": shorten_file_names([str(one) for one in levels])}, split_byte_planes(np.asarray(codes))
     numbers = values.to_numpy(dtype=float)
     finite = np.isfinite(numbers)
     levels, codes = np.unique(numbers[finite], return_inverse=True)
     whole = np.full(len(numbers), MISSING_CODE)
     if len(levels) <= MAX_EXACT_VALUES and (len(levels) < len(numbers) / 4 or len(numbers) <= MAX_EXACT_VALUES):
         whole[finite] = codes
-        return {"levels": levels.tolist()}, split_bytes(whole)
+        return {"levels": levels.tolist()}, split_byte_planes(whole)
     quarter, middle, most = np.percentile(numbers[finite], [25, 50, 75])
     bend = max(float(most - quarter), 1e-12) if np.ptp(levels) > MAX_RANGE_RATIO * (most - quarter) else 0.0
     shown = np.arcsinh((numbers - middle) / bend) if bend else numbers
     low, high = float(np.min(shown[finite])), float(np.max(shown[finite]))
     step = (high - low) / (2**bits - 1) or 1.0
     whole[finite] = np.round((shown[finite] - low) / step)
-    return {"low": low, "step": step, "bend": bend, "middle": float(middle)}, split_bytes(whole)
+    return {"low": low, "step": step, "bend": bend, "middle": float(middle)}, split_byte_planes(whole)
 
 
-def split_bytes(values: np.ndarray) -> bytes:
+def split_byte_planes(values: np.ndarray) -> bytes:
     """Split numbers from 0 to 65535 into bytes: all low bytes, then all high ones."""
     return values.astype("<u2").view(np.uint8).reshape(-1, 2).T.tobytes()
 
@@ -242,10 +244,10 @@ def refined_cells(results: Results) -> dict[str, Any] | None:
             found.append(np.stack([place[tuple(corner.T)] for corner in corners], axis=1))
     cells = np.concatenate(found) if found else np.zeros((0, 4), int)
     cells = cells[(cells >= 0).all(axis=1)]
-    return {"axes": [axis.column for axis in axes], "block": encode_text(cells.astype("<i4").tobytes())}
+    return {"axes": [axis.column for axis in axes], "block": deflate_to_base64(cells.astype("<i4").tobytes())}
 
 
-def alone_curves(results: Results) -> Iterator[dict[str, Any]]:
+def single_parameter_curves(results: Results) -> Iterator[dict[str, Any]]:
     """Yield the data of the success curve along each parameter that varies alone in a study.
 
     The success rate at each value has its interval where the study's rows are a sample. A study of which the page has
@@ -259,7 +261,7 @@ def alone_curves(results: Results) -> Iterator[dict[str, Any]]:
             (axis.column, centre, part) for axis, centre, part in sensitivity.one_at_a_time_rows(rows, results.exp)
         ]
     elif len(results.axes) == 1 and results.numeric_columns:
-        found = [(column, nominal_number(results, column), rows) for column in results.numeric_columns]
+        found = [(column, nominal_column_value(results, column), rows) for column in results.numeric_columns]
     else:
         return
     figure = next(effects_figure(results), None)
@@ -273,11 +275,11 @@ def alone_curves(results: Results) -> Iterator[dict[str, Any]]:
             "at": rates["value"].tolist() if len(rates) else [],
             "low": rates["low"].tolist() if len(rates) else [],
             "high": rates["high"].tolist() if len(rates) else [],
-            "block": encode_text(part.index.to_numpy().astype("<i4").tobytes()),
+            "block": deflate_to_base64(part.index.to_numpy().astype("<i4").tobytes()),
         }
 
 
-def nominal_number(results: Results, column: str) -> float | None:
+def nominal_column_value(results: Results, column: str) -> float | None:
     """Return the nominal value of a parameter's column; None for a number from which parameters are computed."""
     return None if column.startswith("axis.") else float(results.exp.system.nominal(column, results.exp.settings))
 
@@ -290,7 +292,7 @@ def total_effects_of_refined_map(results: Results) -> dict[str, float] | None:
     return dict(zip(table["axis"], table["total"].tolist(), strict=True))
 
 
-def count_densities(results: Results, kinds: list[dict[str, Any]]) -> Any:
+def count_rows_in_bins(results: Results, kinds: list[dict[str, Any]]) -> Any:
     """Yield, for a few pairs of parameters, the number of rows of each outcome kind in each bin."""
     kind = outcome_kind_indices(results.rows, kinds)
     pairs = [(x, y) for k, x in enumerate(results.numeric_columns) for y in results.numeric_columns[k + 1 :]][
@@ -306,7 +308,7 @@ def count_densities(results: Results, kinds: list[dict[str, Any]]) -> Any:
             "high": high,
             "x_ends": x_ends,
             "y_ends": y_ends,
-            "block": encode_text(counts.astype("<u4").view(np.uint8).reshape(-1, 4).T.tobytes()),
+            "block": deflate_to_base64(counts.astype("<u4").view(np.uint8).reshape(-1, 4).T.tobytes()),
         }
 
 

@@ -113,7 +113,7 @@ def rank_by_cut(x: np.ndarray, inside: np.ndarray) -> list[int]:
 
     if inside.all() or not inside.any():
         return list(range(x.shape[1]))
-    cut = [float(ks_2samp(column[inside], column[~inside])[0]) for column in x.T]
+    cut = [ks_2samp(column[inside], column[~inside]).statistic for column in x.T]  # pyright: ignore
     return sorted(range(len(cut)), key=lambda k: -cut[k])
 
 

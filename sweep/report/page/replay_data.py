@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from sweep.core.errors import InputError
-from sweep.core.files import encode_text
+from sweep.core.files import deflate_to_base64
 from sweep.replay.motion import thin_motion
 from sweep.report import replays
 from sweep.report.page.data import sample_row_indices
@@ -52,7 +52,7 @@ def describe_replays(results: Results, shown: Iterable[ShownReplay], room: int) 
         room: characters that their states may take; beyond it they get fewer frames, and then some are left out.
     """
     places = {int(place): k for k, place in enumerate(sample_row_indices(len(results.rows)))}
-    shown = thin_to_room(list(shown), room)
+    shown = thin_replays_to_size(list(shown), room)
     about, streams, models, left_out, size = [], [], {}, 0, 0
     for place, row, replay, title in shown:
         size += len(replay["states"])
@@ -72,10 +72,10 @@ def describe_replays(results: Results, shown: Iterable[ShownReplay], room: int) 
                 "title": title,
             }
         )
-    return PageReplays(about, streams, encode_text(f"[{','.join(models)}]".encode()), left_out)
+    return PageReplays(about, streams, deflate_to_base64(f"[{','.join(models)}]".encode()), left_out)
 
 
-def thin_to_room(shown: list[ShownReplay], room: int) -> list[ShownReplay]:
+def thin_replays_to_size(shown: list[ShownReplay], room: int) -> list[ShownReplay]:
     """Drop frames of replays until their text fits into `room` characters; at least one in `MAX_THINNING` stays."""
     thin = shown
     for every in range(1, MAX_THINNING + 1):

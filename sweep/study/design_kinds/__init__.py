@@ -11,14 +11,14 @@ from types import ModuleType
 from typing import Any
 
 from sweep.core.errors import InputError, require_choice
-from sweep.study.design_kinds.base import AdaptiveDesign, Design, Sensitivity
+from sweep.study.design_kinds.base import AdaptiveDesign, Design, SensitivityMethod
 
 DESIGN_BY_KIND: dict[str, type[Design]] = {}  # by name, in the order of lists
 DEFAULT_KIND = "monte_carlo"  # kind of a study that names none
 MODULE_TABLE = "DESIGNS"  # name of a module's table
 
 
-def add_designs(module: ModuleType) -> None:
+def register_designs(module: ModuleType) -> None:
     """Add the `Design` classes of a module to the kinds that `study.design.kind` allows.
 
     Args:
@@ -40,7 +40,7 @@ def add_designs(module: ModuleType) -> None:
             raise InputError(f"{wrong}whose kind is {getattr(cls, 'kind', 'missing')!r}")
         required = ("meaning", "columns") if issubclass(cls, AdaptiveDesign) else ("meaning",)
         wanted = [*cls.__abstractmethods__, *(name for name in required if not hasattr(cls, name))]
-        if cls.sensitivity == Sensitivity.ELEMENTARY_EFFECTS and cls.trajectory_grid is None:
+        if cls.sensitivity == SensitivityMethod.ELEMENTARY_EFFECTS and cls.trajectory_grid is None:
             wanted.append("trajectory_grid")
         if wanted:
             raise InputError(f"module {module.__name__}: design {kind} has no {min(wanted)}")
@@ -114,4 +114,4 @@ def make_schema() -> type:
 
 
 for _found in pkgutil.iter_modules(__path__):
-    add_designs(import_module(f"{__name__}.{_found.name}"))
+    register_designs(import_module(f"{__name__}.{_found.name}"))

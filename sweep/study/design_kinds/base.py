@@ -50,7 +50,7 @@ DRAW = SamplingUnit("draw")  # with all its replicates and grid points
 EVEN_DRAW = SamplingUnit("draw", is_independent=False)  # likewise, of a design whose draws fill space evenly
 
 
-class Sensitivity(StrEnum):
+class SensitivityMethod(StrEnum):
     """Sensitivity indices that can be estimated from the draws of a design."""
 
     GIVEN_DATA = "from any draws that follow the distributions: PAWN, RBD-FAST"
@@ -59,9 +59,9 @@ class Sensitivity(StrEnum):
     NONE = "none"
 
     @property
-    def needs_own_design(self) -> bool:
+    def needs_special_design(self) -> bool:
         """Whether the indices need draws of a special design."""
-        return self in (Sensitivity.SOBOL_INDICES, Sensitivity.ELEMENTARY_EFFECTS)
+        return self in (SensitivityMethod.SOBOL_INDICES, SensitivityMethod.ELEMENTARY_EFFECTS)
 
 
 class TrajectoryGrid(NamedTuple):
@@ -119,7 +119,7 @@ class Design(ABC):
     is_low_discrepancy: ClassVar[bool] = False  # whether draws form a sequence that fills space evenly
     gives_rate: ClassVar[bool] = True  # whether some draws are a plain sample, see `select_rate_draws`
     allows_correlation: ClassVar[bool] = True  # whether `study.design.correlation` may relate axes
-    sensitivity: ClassVar[Sensitivity] = Sensitivity.GIVEN_DATA
+    sensitivity: ClassVar[SensitivityMethod] = SensitivityMethod.GIVEN_DATA
     trajectory_grid: ClassVar[TrajectoryGrid | None] = None  # of designs for elementary effects
 
     # how a stored study can be extended
@@ -150,17 +150,17 @@ class Design(ABC):
             raise InputError(f"study.design.num = {self.num} is not allowed: no axis has a distribution")
 
     @property
-    def combines_all(self) -> bool:
+    def is_full_grid(self) -> bool:
         """Whether every combination of listed values is a point (a full grid)."""
         return self.grid == FULL
 
     @property
-    def varies_axes_alone(self) -> bool:
+    def is_one_at_a_time(self) -> bool:
         """Whether each listed axis varies alone, with all others at nominal values."""
         return self.grid == ONE_AT_A_TIME
 
     @property
-    def warning(self) -> str | None:
+    def precision_warning(self) -> str | None:
         """Text of a warning if the design's settings make its statistics less precise, else None."""
         return None
 
@@ -198,7 +198,7 @@ class Design(ABC):
         """
         return np.full(len(draws), self.gives_rate)
 
-    def with_draws(self, least: int, d: int) -> Self:
+    def resize_to_min_draws(self, least: int, d: int) -> Self:
         """Return a copy of the design with the smallest setting `num` that makes at least `least` draws of `d` axes."""
         return replace(self, num=-(-least // replace(self, num=1).count_draws(d)))
 
@@ -213,7 +213,9 @@ class Design(ABC):
             A row for each of the n = `count_draws` draws and a column for each axis.
         """
 
-    def correlate(self, shares: Float[np.ndarray, "n d"], root: Float[np.ndarray, "d d"]) -> Float[np.ndarray, "n d"]:
+    def correlate_quantiles(
+        self, shares: Float[np.ndarray, "n d"], root: Float[np.ndarray, "d d"]
+    ) -> Float[np.ndarray, "n d"]:
         """Correlate independent quantiles by a Gaussian copula.
 
         Args:
@@ -234,7 +236,7 @@ class AdaptiveDesign(Design):
     columns: ClassVar[tuple[str, ...]]  # what it stores of each draw, as `axis.NAME`
     follows_distributions: ClassVar[bool] = False
     gives_rate: ClassVar[bool] = False
-    sensitivity: ClassVar[Sensitivity] = Sensitivity.NONE
+    sensitivity: ClassVar[SensitivityMethod] = SensitivityMethod.NONE
 
     def check(self, drawn: Sequence[str], listed: Sequence[str]) -> None:
         """Raise `InputError` if an axis has listed values, or the name of a column that the design stores.
@@ -262,7 +264,7 @@ class AdaptiveDesign(Design):
 
     @property
     @abstractmethod
-    def smallest_round(self) -> int:
+    def min_round_size(self) -> int:
         """Number of rollouts in the smallest round, which determines the batch width."""
 
     @abstractmethod
@@ -294,7 +296,7 @@ class AdaptiveDesign(Design):
             InputError: The search is not finished.
         """
 
-    def summarize(self, rows: "pd.DataFrame", draws: RoundDraws) -> RoundSummary:
+    def summarize_finished_round(self, rows: "pd.DataFrame", draws: RoundDraws) -> RoundSummary:
         """Return which draws of a round failed, and their values of the metric that shrinks towards failure.
 
         Args:
@@ -323,7 +325,7 @@ class AdaptiveDesign(Design):
         try:
             draws = next(search)
             while np.isin(draws.numbers, rows["replicate"]).all():
-                draws = search.send(self.summarize(rows, draws))
+                draws = search.send(self.summarize_finished_round(rows, draws))
         except StopIteration as end:
             return end.value
         return None

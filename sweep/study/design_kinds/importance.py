@@ -11,7 +11,7 @@ from sweep.core.errors import InputError
 from sweep.study import importance_sampling
 from sweep.study.adaptive_sampling import SearchGenerator
 from sweep.study.design_kinds.base import AdaptiveDesign, DrawContext
-from sweep.study.design_kinds.monte_carlo import advise_plain_draws
+from sweep.study.design_kinds.monte_carlo import advise_independent_draws
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -21,7 +21,7 @@ WIDER_PROPOSAL_ADVICE = "try a larger study.design.wide, more draws, or wider di
 
 
 @dataclass(frozen=True)
-class Importance(AdaptiveDesign):
+class ImportanceSampling(AdaptiveDesign):
     """Importance sampling: each round draws from a proposal fitted to the failures of earlier rounds."""
 
     kind: ClassVar[str] = "importance"
@@ -49,7 +49,7 @@ class Importance(AdaptiveDesign):
             raise InputError(f"study.design.num = {self.num} is not allowed: at least 2")
 
     @property
-    def smallest_round(self) -> int:
+    def min_round_size(self) -> int:
         """Number of rollouts in each round."""
         return self.num
 
@@ -146,7 +146,7 @@ class WeightedEstimate:
         if not self.is_reliable:
             text += f"; NOT reliable: one row carries {self.largest_weight_share:.0%} of the sum; "
             text += "use more draws or more rounds"
-        return text + advise_plain_draws(self.probability)
+        return text + advise_independent_draws(self.probability)
 
 
-DESIGNS = {"importance": Importance}
+DESIGNS = {"importance": ImportanceSampling}

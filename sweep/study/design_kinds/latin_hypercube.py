@@ -26,7 +26,7 @@ class LatinHypercube(Design):
 
         return qmc.LatinHypercube(len(ctx.axes), rng=np.random.default_rng([ctx.seed])).random(self.num)
 
-    def correlate(self, shares: np.ndarray, root: np.ndarray) -> np.ndarray:
+    def correlate_quantiles(self, shares: np.ndarray, root: np.ndarray) -> np.ndarray:
         """Correlate draws by reordering alone, so that every stratum keeps its draw (Iman and Conover 1982).
 
         Args:

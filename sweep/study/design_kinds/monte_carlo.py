@@ -25,7 +25,7 @@ class MonteCarlo(Design):
         return np.stack([rng.random(self.num) for rng in rngs], axis=1)
 
 
-def advise_plain_draws(probability: float) -> str:
+def advise_independent_draws(probability: float) -> str:
     """Return advice to use independent draws if failures are not rare; else an empty text."""
     return (
         f"; it is not rare: study.design.kind={MonteCarlo.kind} is as precise" if probability > RARE_PROBABILITY else ""

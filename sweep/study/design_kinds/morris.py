@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sweep.study.design_kinds.base import Design, DrawContext, SamplingUnit, Sensitivity, TrajectoryGrid
+from sweep.study.design_kinds.base import Design, DrawContext, SamplingUnit, SensitivityMethod, TrajectoryGrid
 
 
 class Morris(Design):
@@ -20,7 +20,7 @@ class Morris(Design):
     follows_distributions: ClassVar[bool] = False
     gives_rate: ClassVar[bool] = False
     allows_correlation: ClassVar[bool] = False
-    sensitivity: ClassVar[Sensitivity] = Sensitivity.ELEMENTARY_EFFECTS
+    sensitivity: ClassVar[SensitivityMethod] = SensitivityMethod.ELEMENTARY_EFFECTS
     trajectory_grid: ClassVar[TrajectoryGrid] = TrajectoryGrid(4, 0.005, 0.995)
 
     @property

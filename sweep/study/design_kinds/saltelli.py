@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sweep.study.design_kinds.base import Design, DrawContext, SamplingUnit, Sensitivity
+from sweep.study.design_kinds.base import Design, DrawContext, SamplingUnit, SensitivityMethod
 from sweep.study.design_kinds.sobol import warn_of_unbalanced_draws
 
 
@@ -18,10 +18,10 @@ class Saltelli(Design):
     position: ClassVar[int] = 3
     follows_distributions: ClassVar[bool] = False
     allows_correlation: ClassVar[bool] = False
-    sensitivity: ClassVar[Sensitivity] = Sensitivity.SOBOL_INDICES
+    sensitivity: ClassVar[SensitivityMethod] = SensitivityMethod.SOBOL_INDICES
 
     @property
-    def warning(self) -> str | None:
+    def precision_warning(self) -> str | None:
         """A warning if `num` is not a power of 2, or None."""
         return warn_of_unbalanced_draws(self.num)
 

@@ -40,7 +40,7 @@ class Sobol(Design):
             raise InputError(f"study.design.scrambles = {self.scrambles} is not allowed: at least 1")
 
     @property
-    def warning(self) -> str | None:
+    def precision_warning(self) -> str | None:
         """A warning if `num` is not a power of 2, or None."""
         return warn_of_unbalanced_draws(self.num)
 

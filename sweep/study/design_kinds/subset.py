@@ -18,18 +18,20 @@ from sweep.study.adaptive_sampling import (
     summarize_round,
 )
 from sweep.study.design_kinds.base import AdaptiveDesign, DrawContext, SamplingUnit
-from sweep.study.design_kinds.importance import Importance
-from sweep.study.design_kinds.monte_carlo import advise_plain_draws
+from sweep.study.design_kinds.importance import ImportanceSampling
+from sweep.study.design_kinds.monte_carlo import advise_independent_draws
 from sweep.study.subset_simulation import LevelSettings, SubsetRunResult
 
 if TYPE_CHECKING:
     import pandas as pd
 
-OTHER_DESIGN_ADVICE = f"try another study.design.lead, study.design.kind={Importance.kind}, or wider distributions"
+OTHER_DESIGN_ADVICE = (
+    f"try another study.design.lead, study.design.kind={ImportanceSampling.kind}, or wider distributions"
+)
 
 
 @dataclass(frozen=True)
-class Subset(AdaptiveDesign):
+class SubsetSimulation(AdaptiveDesign):
     """Subset simulation: independent runs approach rare failures in levels of ever smaller values of a metric."""
 
     kind: ClassVar[str] = "subset"
@@ -80,7 +82,7 @@ class Subset(AdaptiveDesign):
         return SamplingUnit("run")
 
     @property
-    def smallest_round(self) -> int:
+    def min_round_size(self) -> int:
         """Number of rollouts in a round: one for each Markov chain of all runs."""
         return self.runs * self.level_settings.chain_count
 
@@ -92,7 +94,7 @@ class Subset(AdaptiveDesign):
         """Start subset simulation: a generator that yields rounds of draws and receives their outcomes."""
         return subset_simulation.start_search(len(ctx.axes), self.level_settings, self.runs, ctx.seed)
 
-    def summarize(self, rows: "pd.DataFrame", draws: RoundDraws) -> RoundSummary:
+    def summarize_finished_round(self, rows: "pd.DataFrame", draws: RoundDraws) -> RoundSummary:
         """Return which draws of a round failed, and their values of `lead`, a metric that shrinks towards failure.
 
         Args:
@@ -160,7 +162,7 @@ class SubsetEstimate:
         return tuple(run for run in self.runs if run.end_reason)
 
     @property
-    def variation(self) -> float:
+    def coefficient_of_variation(self) -> float:
         """Coefficient of variation of the estimated failure probability, by the spread of runs; NaN for one run."""
         each = self.run_probabilities
         return float(each.std(ddof=1) / np.sqrt(len(each)) / each.mean()) if len(each) > 1 and each.any() else np.nan
@@ -170,7 +172,9 @@ class SubsetEstimate:
         """The 95 % interval of the failure probability (log-normal, Student's t over runs); NaN for a single run."""
         from scipy.stats import t
 
-        width = t.ppf(0.5 + CONFIDENCE_LEVEL / 2, max(len(self.runs) - 1, 1)) * np.sqrt(np.log1p(self.variation**2))
+        width = t.ppf(0.5 + CONFIDENCE_LEVEL / 2, max(len(self.runs) - 1, 1)) * np.sqrt(
+            np.log1p(self.coefficient_of_variation**2)
+        )
         return float(self.probability * np.exp(-width)), float(min(self.probability * np.exp(width), 1.0))
 
     @property
@@ -197,7 +201,7 @@ class SubsetEstimate:
         if self.stuck_runs:
             early = f"{len(self.stuck_runs)} of {count} runs ended early: {self.stuck_runs[0].end_reason}"
             text += f"; NOT reliable: {early}; {OTHER_DESIGN_ADVICE}"
-        return text + advise_plain_draws(self.probability)
+        return text + advise_independent_draws(self.probability)
 
 
-DESIGNS = {"subset": Subset}
+DESIGNS = {"subset": SubsetSimulation}

@@ -26,14 +26,14 @@ from sweep.contract.system import (
     split_side_prefix,
     split_world_and_belief,
 )
-from sweep.core.errors import InputError, require_choice, suggest
+from sweep.core.errors import InputError, format_name_suggestion, require_choice
 from sweep.core.groups import GROUPS
-from sweep.core.parameters import build, build_by_kind
+from sweep.core.parameters import build_instance, build_instance_by_kind
 from sweep.engines.states import available_columns
 from sweep.manoeuvres import MANOEUVRES
 from sweep.metrics import outcome
 from sweep.metrics.outcome import OutcomeThresholds
-from sweep.models.case import Case, Manoeuvre, complete_manoeuvre
+from sweep.models.case import Case, Manoeuvre, complete_manoeuvre_class
 from sweep.models.control import Control
 from sweep.models.noise import Noise
 from sweep.models.obstacles import OBSTACLES
@@ -139,7 +139,7 @@ class Hexapod:
         from sweep.models import scene  # slow to import
 
         if settings.name == "native":
-            spec = scene.native_spec(trace.world, settings.native_time_step, settings.solid)
+            spec = scene.build_native_spec(trace.world, settings.native_time_step, settings.solid)
         else:
             spec = scene.build_spec(trace.world)
             spec.option.timestep = settings.time_step_s
@@ -185,7 +185,7 @@ class Hexapod:
         if path.startswith("plan."):
             if side == "world":
                 raise InputError(f"axis {column} varies nothing: plans depend on the belief only")
-            return plan_table.plan_parameter(self.case, path.removeprefix("plan."))
+            return plan_table.plan_number_field(self.case, path.removeprefix("plan."))
         owner, name = self._owner(column, settings)
         found = next(f for f in dataclasses.fields(owner) if f.name == name)
         if found.metadata.get("role") not in VARIABLE_ROLES:
@@ -208,7 +208,11 @@ class Hexapod:
             if name not in allowed or (name == last and step == 0):
                 parts = [(group, settings if group == "engine" else getattr(self.case, group)) for group in groups]
                 whole = [f"{group}.{name}" for group, part in parts if hasattr(part, name)] if step == 0 else []
-                hint = f": did you mean {' or '.join(whole)}?" if whole else suggest(name, {*allowed} - {name})
+                hint = (
+                    f": did you mean {' or '.join(whole)}?"
+                    if whole
+                    else format_name_suggestion(name, {*allowed} - {name})
+                )
                 before = "".join(f"{p}." for p in path.split(".")[:step])
                 raise InputError(f"axis {column} is not allowed: {before}{name} is unknown{hint}")
             if step < len(above):
@@ -219,7 +223,7 @@ class Hexapod:
 
     def iterate_physical_inputs(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """Yield path and value of all parameters that affect results: of robot, obstacle, manoeuvre and plan."""
-        yield from iterate_case_values(self.case, "")
+        yield from iterate_case_parameters(self.case, "")
         yield from _plan_inputs(self.case, plan_table.plan_content(self.case))
 
     def inputs_left_out_of_point_ids(self, paths: Sequence[str]) -> Iterator[tuple[str, Any]]:
@@ -227,9 +231,9 @@ class Hexapod:
 
         Point ids of earlier rows thus stay valid.
         """
-        yield from iterate_case_values(Control(), "control")
+        yield from iterate_case_parameters(Control(), "control")
         yield from (
-            (path, value) for path, value in iterate_case_values(Noise(), "noise") if path.startswith(LATER_INPUTS)
+            (path, value) for path, value in iterate_case_parameters(Noise(), "noise") if path.startswith(LATER_INPUTS)
         )
         yield from _plan_inputs(self.case, plan_table.default_plan_content(self.case))
 
@@ -242,7 +246,7 @@ class Hexapod:
         self._check_built(table)
         self._check_step(table, settings)
 
-    def describe_unsearched_values(self, table: "pd.DataFrame", settings: EngineSettings) -> Iterator[str]:
+    def controller_range_warnings(self, table: "pd.DataFrame", settings: EngineSettings) -> Iterator[str]:
         """Yield a warning for each believed size that leaves the range for which the plan's numbers were optimized."""
         for path, (low, high) in self.searched_ranges.items():
             values = _of_side(self, _select_paths(table, (path,)), "belief", path, settings)
@@ -311,7 +315,7 @@ class Hexapod:
             return f"engine {other} uses it"
         return "sensor errors are part of the world" if side == "belief" and path.startswith("noise.") else ""
 
-    def find_random_rows(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
+    def find_stochastic_rows(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
         """Return which rows (n,) draw random numbers: those with sensor errors or calibration."""
         found = np.zeros(len(rows), dtype=bool)
         for path, none in RANDOM_INPUTS.items():
@@ -363,14 +367,14 @@ class Hexapod:
         return {cause.metric: outcome.threshold_value(cause, limits) for cause in outcome.CAUSES if cause.threshold}
 
 
-def build_nominal(values: Mapping[str, Any], kinds: ClassesByKind) -> SystemSetup:
+def build_nominal_system(values: Mapping[str, Any], kinds: ClassesByKind) -> SystemSetup:
     """Build the hexapod at nominal parameters from a plain configuration."""
     classes = {"engine": EngineSettings, "outcome": OutcomeThresholds}
     classes |= {name: group.load() for name, group in GROUPS.items() if group.in_case and group.has_single_class}
-    parts = {group: build(cls, values[group], group) for group, cls in classes.items()}
+    parts = {group: build_instance(cls, values[group], group) for group, cls in classes.items()}
     settings, given = parts.pop("engine"), dataclasses.asdict(parts.pop("outcome"))
-    parts |= {group: build_by_kind(kinds[group], values[group], group) for group in ("obstacle", "manoeuvre")}
-    complete_manoeuvre(type(parts["manoeuvre"]))  # a class of a user module may not inherit from `Manoeuvre`
+    parts |= {group: build_instance_by_kind(kinds[group], values[group], group) for group in ("obstacle", "manoeuvre")}
+    complete_manoeuvre_class(type(parts["manoeuvre"]))  # a class of a user module may not inherit from `Manoeuvre`
     table, searched_ranges = _table(values["plan"], parts["manoeuvre"])
     case = Case(**parts, plan=table)
     if not _suits(type(case.obstacle), case.manoeuvre):
@@ -397,7 +401,7 @@ def plan_numbers(file: str, read: Callable[[str], str]) -> dict[str, float | str
         Numbers, and formulas as text, by path.
     """
     places = {key: chart for cls in OBSTACLES.values() for key, chart in cls.charts.items()}
-    plan, _ = plan_table.split_searched(plan_table.merge_plan_with_bases(file, read))
+    plan, _ = plan_table.split_search_ranges(plan_table.merge_plan_with_bases(file, read))
     return plan_table.numbers_by_path(plan, places)
 
 
@@ -413,7 +417,7 @@ def replace_parameter[T](owner: T, path: str, value: Any) -> T:
         The copy.
     """
     if isinstance(owner, PlanTable):
-        return owner.with_value(path, value)  # pyright: ignore[reportReturnType]
+        return owner.replace_number(path, value)  # pyright: ignore[reportReturnType]
     name, _, rest = path.partition(".")
     inner = replace_parameter(getattr(owner, name), rest, value) if rest else value
     return dataclasses.replace(owner, **{name: inner})  # pyright: ignore[reportArgumentType]
@@ -430,8 +434,8 @@ def _table(given: Any, manoeuvre: Any) -> tuple[PlanTable, plan_table.Ranges]:
         raise InputError(f"plan = {given} is not allowed: `sweep list` shows the choices")
     if manoeuvre.default_plan_name is None:
         raise InputError(f"plan is not allowed: manoeuvre.kind = {kind} has no plan file")
-    plan_table.refuse_malformed(given)
-    given, searched_ranges = plan_table.split_searched(given)
+    plan_table.check_plan_content(given)
+    given, searched_ranges = plan_table.split_search_ranges(given)
     require_choice(way := given.get(WAY, FORTH), DIRECTIONS, f"plan.{WAY} = {way}")
     if way != FORTH and not manoeuvre.two_way:
         raise InputError(f"plan.{WAY} = {way} is not allowed: manoeuvre.kind = {kind} goes {FORTH} only")
@@ -486,13 +490,13 @@ def _plan_inputs(case: Case, plan: Content) -> Iterator[tuple[str, Any]]:
     yield "plan", json.dumps(words)
 
 
-def iterate_case_values(value: Any, path: str) -> Iterator[tuple[str, Any]]:
+def iterate_case_parameters(value: Any, path: str) -> Iterator[tuple[str, Any]]:
     """Yield dotted path and value of all parameters in nested dataclasses, except numbers of the plan."""
     if isinstance(value, PlanTable):
         return  # see `_plan_inputs`
     if dataclasses.is_dataclass(value):
         for member in dataclasses.fields(value):
-            yield from iterate_case_values(
+            yield from iterate_case_parameters(
                 getattr(value, member.name), f"{path}.{member.name}" if path else member.name
             )
     else:

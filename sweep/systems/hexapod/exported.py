@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from sweep import metrics
 from sweep.contract.engine_settings import EngineSettings
-from sweep.controllers.flywheel import Flywheel
+from sweep.controllers.flywheel import MiddleLegFlywheel
 from sweep.controllers.layers import ForceFeedforward
 from sweep.core.errors import InputError
 from sweep.core.outcomes import GOAL_MISSED
@@ -24,10 +24,10 @@ from sweep.core.parameters import MAX_WHOLE_NUMBER
 from sweep.engines.batching import nominal_plan
 from sweep.engines.closed_loop import (
     MAX_DURATION_FACTOR,
-    classify_sensing,
     compute_metrics,
     exact_observation,
     init_loop,
+    required_sensing_mode,
     run_controller,
     start_state,
     update_metrics,
@@ -35,13 +35,13 @@ from sweep.engines.closed_loop import (
 from sweep.engines.pre_rollout import prepare_belief
 from sweep.estimation.belief_update import LearnedState
 from sweep.metrics.outcome import OutcomeThresholds, threshold_value
-from sweep.metrics.tick import REST_DURATION_S, TickReport
+from sweep.metrics.tick import REST_DURATION_S, EngineTickReport
 from sweep.models.case import Case
 from sweep.models.legs import JOINT_NAMES, JOINT_V, N_JOINTS, N_LEGS
 from sweep.models.obstacles.surface import body_poses, surface_at
 from sweep.models.robot import link_names
-from sweep.models.scene import native_spec
-from sweep.systems.hexapod import iterate_case_values, replace_parameter
+from sweep.models.scene import build_native_spec
+from sweep.systems.hexapod import iterate_case_parameters, replace_parameter
 
 BELIEF_GROUPS = "robot", "drive", "contact", "obstacle", "manoeuvre"  # groups whose quantities the controller is told
 
@@ -62,10 +62,11 @@ def check_exportable_to_mjcf(case: Case) -> None:
     kind = f"manoeuvre.kind = {case.manoeuvre.kind}"
     reasons = {
         f"obstacle.kind = {case.obstacle.kind} is not allowed: the obstacle may move": bool(case.obstacle.free_bodies),
-        f"{kind} is not allowed: its controller changes servo gains": plan.find_layer(Flywheel) is not None,
+        f"{kind} is not allowed: its controller changes servo gains": plan.find_layer(MiddleLegFlywheel) is not None,
         f"{kind} is not allowed: it plans contact forces before it starts": plan.find_layer(ForceFeedforward)
         is not None,
-        "noise is not allowed: a MuJoCo model has noise settings of its own": classify_sensing(case.noise) != "exact",
+        "noise is not allowed: a MuJoCo model has noise settings of its own": required_sensing_mode(case.noise)
+        != "exact",
         "execution.push_impulse is not allowed: a controller cannot push the robot": case.execution.push_impulse != 0,
         "control is not allowed: an exported controller learns nothing": (case.control.calibrate, case.control.touch)
         != ("none", "none"),
@@ -75,7 +76,7 @@ def check_exportable_to_mjcf(case: Case) -> None:
             raise InputError(reason)
 
 
-def make_spec(case: Case, settings: EngineSettings) -> mujoco.MjSpec:
+def make_mujoco_spec(case: Case, settings: EngineSettings) -> mujoco.MjSpec:
     """Make the MuJoCo spec of the robot for export, with joint angles as controls and sensors that MJX supports.
 
     Args:
@@ -85,7 +86,7 @@ def make_spec(case: Case, settings: EngineSettings) -> mujoco.MjSpec:
     Returns:
         The model, not compiled.
     """
-    made = native_spec(case, settings.native_time_step)
+    made = build_native_spec(case, settings.native_time_step)
     made.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_ENERGY)
     for sensor in [*made.sensors]:
         made.delete(sensor)
@@ -125,7 +126,7 @@ def make_exported_scenario(
     Returns:
         Plain values of a scenario file.
     """
-    sensors = [sensor.name for sensor in make_spec(case, settings).sensors]
+    sensors = [sensor.name for sensor in make_mujoco_spec(case, settings).sensors]
     seconds = MAX_DURATION_FACTOR * float(np.sum(np.asarray(nominal_plan(case).duration))) + REST_DURATION_S
     about = {
         "mjcf": model,
@@ -164,7 +165,7 @@ def make_controller(case: Case, settings: EngineSettings, limits: OutcomeThresho
     period = settings.control_period
     numbers = {
         path: value
-        for path, value in iterate_case_values(case, "")
+        for path, value in iterate_case_parameters(case, "")
         if isinstance(value, float) and abs(value) < MAX_WHOLE_NUMBER
     }
     numbers = {path: value for path, value in numbers.items() if path.startswith(BELIEF_GROUPS)}
@@ -188,7 +189,7 @@ def make_controller(case: Case, settings: EngineSettings, limits: OutcomeThresho
     def policy(belief: Mapping[str, Array], seen: Array, state: Any, key: Array) -> tuple[Array, Any]:
         own, plan, loop, tick = believed(belief), state["plan"], state["loop"], state["tick"]
         now, _ = update_metrics(
-            own, plan, limits, loop, state["command"], summarize_tick(own, seen, period), tick - 1, period
+            own, plan, limits, loop, state["command"], make_tick_report(own, seen, period), tick - 1, period
         )
         loop = jax.tree.map(lambda a, b: jnp.where(tick > 0, a, b), now, loop)
         loop, command = run_controller(own, own, plan, loop, tick, period)
@@ -205,7 +206,7 @@ def make_controller(case: Case, settings: EngineSettings, limits: OutcomeThresho
 controller = make_controller  # imported by projects that earlier versions exported
 
 
-def summarize_tick(case: Case, seen: Float[Array, " k"], period: float) -> TickReport:
+def make_tick_report(case: Case, seen: Float[Array, " k"], period: float) -> EngineTickReport:
     """Convert the observation at the end of a control tick to the tick report from which metrics are computed.
 
     Args:
@@ -224,7 +225,7 @@ def summarize_tick(case: Case, seen: Float[Array, " k"], period: float) -> TickR
     exact = exact_observation(qpos, qvel, 0, load)
     bodies = body_poses(exact.free)
     normals = surface_at(case.obstacle, feet, bodies).normal
-    return TickReport(
+    return EngineTickReport(
         torque_peak=jnp.abs(torque).reshape(N_LEGS, 3),
         saturated=(jnp.abs(effort) >= 0.999 * drive.torque_limit).astype(seen.dtype).reshape(N_LEGS, 3),
         force=load[:, None] * normals,

@@ -10,13 +10,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sweep.contract.engine import Trace
-from sweep.contract.trace_frames import base_pose, joint_positions, mass_centres
+from sweep.contract.trace_frames import base_pose, centres_of_mass, joint_positions
 from sweep.core.parameters import InputError
 from sweep.core.plot_style import (
     FONT_SIZE_PT,
     LEG_COLORS,
     PAGE_WIDTH_IN,
-    legend_below,
+    add_legend_below,
     new_figure,
     plot_style,
     wrap_text,
@@ -83,7 +83,7 @@ def plot_feet(trace: Trace) -> Figure:
     return _finish(figure, axes, trace)
 
 
-def plot_margin(trace: Trace) -> Figure:
+def plot_failure_margin(trace: Trace) -> Figure:
     """Plot the margin to the nearest failure threshold over time, with a colour for each threshold."""
     figure, axes = _column("Margin to the nearest limit, in units of it", "margin")
     for k, name in enumerate(dict.fromkeys(trace.margin_of)):
@@ -93,7 +93,7 @@ def plot_margin(trace: Trace) -> Figure:
     return _finish(figure, axes, trace)
 
 
-def plot_paths(trace: Trace) -> Figure:
+def plot_base_and_foot_paths(trace: Trace) -> Figure:
     """Plot the paths of base and feet in the horizontal plane and from the side, m; references are dashed."""
     figure = new_figure(5.2)
     figure.suptitle("Paths (dashed: reference)")
@@ -110,7 +110,7 @@ def plot_paths(trace: Trace) -> Figure:
         ax.set_ylabel(f"{name} (m)")
         ax.set_aspect("equal", adjustable="datalim")
         ax.grid(alpha=0.3)
-    legend_below(figure, axes[0].get_legend_handles_labels()[0])
+    add_legend_below(figure, axes[0].get_legend_handles_labels()[0])
     return figure
 
 
@@ -130,7 +130,7 @@ def plot_ball(trace: Trace) -> Figure:
     rates = np.gradient(place[:, :2], trace.time, axis=0).T
     speed = [np.convolve(np.pad(rate, SPEED_WINDOW // 2, mode="edge"), average, "valid") for rate in rates]
     few = slice(None, None, max(1, len(place) // 2000))
-    over_ball = mass_centres(trace, few)[:, :2] - place[few, :2]
+    over_ball = centres_of_mass(trace, few)[:, :2] - place[few, :2]
     labels = ("speed (mm/s)", "way (m)", "base (mm)", "mass centre (mm)")
     figure, axes = _column("Ball: speed and path; base and centre of mass over its centre", *labels)
     for k, (name, color) in enumerate((("ahead", ACTUAL_COLOUR), ("left", SECOND_COLOUR))):
@@ -154,7 +154,7 @@ def plot_flywheel(trace: Trace) -> Figure:
         wrapped = np.mod(angle[:, leg - 1, 1], 2 * np.pi)
         axes[0, 0].plot(trace.time, wrapped, color=color, lw=1.2, label=f"leg {leg}")
         axes[1, 0].plot(trace.time, torque[:, leg - 1, 1], color=color, lw=1.0)
-    aside = 1e3 * left_component(trace, mass_centres(trace, slice(None)) - trace.base_target[:, :3])
+    aside = 1e3 * component_left_of_base(trace, centres_of_mass(trace, slice(None)) - trace.base_target[:, :3])
     axes[2, 0].plot(trace.time, aside, color="k", lw=1.0)
     axes[3, 0].plot(trace.time, tilt_deg(base_pose(trace)), color="k", lw=1.0)
     axes[0, 0].axhline(np.pi / 2, color=REFERENCE_COLOUR, ls="--", lw=0.8)
@@ -206,8 +206,8 @@ PLOTS: dict[str, Callable[[Trace], Figure]] = {
     "joints": _with_plot_style(plot_joints),
     "base": _with_plot_style(plot_base),
     "feet": _with_plot_style(plot_feet),
-    "margin": _with_plot_style(plot_margin),
-    "paths": _with_plot_style(plot_paths),
+    "margin": _with_plot_style(plot_failure_margin),
+    "paths": _with_plot_style(plot_base_and_foot_paths),
     "ball": _with_plot_style(plot_ball),
     "flywheel": _with_plot_style(plot_flywheel),
     "forces": _with_plot_style(plot_forces),
@@ -220,7 +220,7 @@ def tilt_deg(pose: np.ndarray) -> np.ndarray:
     return np.degrees(2 * np.arcsin(np.clip(np.hypot(x, y), 0, 1)))
 
 
-def left_component(trace: Trace, vectors: np.ndarray) -> np.ndarray:
+def component_left_of_base(trace: Trace, vectors: np.ndarray) -> np.ndarray:
     """Return the component (F,) of `vectors` (F, 3), world axes, to the left of the base's reference."""
     w, x, y, z = trace.base_target[:, 3:].T
     left = np.stack([2 * (x * y - w * z), 1 - 2 * (x**2 + z**2), 2 * (y * z + w * x)], axis=1)
@@ -268,7 +268,7 @@ def _column(title: str, *labels: str) -> tuple[Figure, Any]:
 
 def _finish(figure: Figure, axes: np.ndarray, trace: Trace) -> Figure:
     """Add time axis, lines where stages begin, stage names above the top row, and a legend."""
-    legend_below(figure, [one for ax in axes.flat for one in ax.get_legend_handles_labels()[0]])
+    add_legend_below(figure, [one for ax in axes.flat for one in ax.get_legend_handles_labels()[0]])
     starts = np.flatnonzero(np.diff(trace.stage, prepend=-1))
     room = NAME_SPACING / (72 * (PAGE_WIDTH_IN / axes.shape[1] - AXIS_WIDTH)) * (trace.time[-1] - trace.time[0])
     for ax in axes.flat:

@@ -34,7 +34,7 @@ from sweep.contract.system import (
 from sweep.core.conditions import UNTRUSTED, Condition, parse_conditions
 from sweep.core.errors import InputError, require_choice
 from sweep.core.outcomes import classify_rows, judge_cause
-from sweep.core.parameters import build, check_value, choice, file_name, quantity
+from sweep.core.parameters import build_instance, choice, convert_and_check_value, file_name, quantity
 from sweep.systems.mujoco_model import (
     disturbances,
     fields,
@@ -50,7 +50,7 @@ from sweep.systems.mujoco_model import (
     tracking,
 )
 from sweep.systems.mujoco_model.accumulator import MetricAccumulator
-from sweep.systems.mujoco_model.engine import ON_NATIVE, ModelEngine, NativeModelEngine, print_note
+from sweep.systems.mujoco_model.engine import ON_NATIVE, ModelEngine, NativeModelEngine, print_note_once
 from sweep.systems.mujoco_model.metrics import CAUSES
 from sweep.systems.mujoco_model.model_spec import (
     FILE_PATHS,
@@ -58,7 +58,7 @@ from sweep.systems.mujoco_model.model_spec import (
     ModelConfig,
     ModelEngineSettings,
     ModelSpec,
-    SideValues,
+    ParameterOverrides,
 )
 
 if TYPE_CHECKING:
@@ -85,13 +85,13 @@ INVALID_CAUSES = tuple(cause.name for cause in CAUSES if cause.invalid)
 CAUSE_MEANINGS = {cause.name: cause.sentence for cause in CAUSES}
 
 
-def judge(
+def label_rollouts(
     figures: Mapping[str, np.ndarray], limits: tuple[Condition, ...], stages: Sequence[str]
 ) -> dict[str, np.ndarray]:
     """Label rollouts with outcome and cause: built-in causes first, then the scenario's first condition that holds."""
     none = np.zeros(len(next(iter(figures.values()))), int)
     causes = [judge_cause(cause, figures, cause.limit(cause.default), none) for cause in CAUSES]
-    causes += [condition.judge(figures) for condition in limits]
+    causes += [condition.judge_rows(figures) for condition in limits]
     return classify_rows(causes, none, stages, unknown_margin=np.inf)
 
 
@@ -103,7 +103,7 @@ class MujocoModel(ModelSpec):
     values: str = ""  # configuration as JSON, from which variants with other files are built
     listed: tuple[tuple[str, tuple[str, ...]], ...] = ()  # files that axes list, by path
 
-    case = SideValues()
+    case = ParameterOverrides()
     groups = ("model", "controller", "noise", *PHYSICAL, "schedule")
     invalid_causes = (*INVALID_CAUSES, UNTRUSTED)
     bookkeeping_metrics = frozenset({*INVALID_CAUSES, ON_NATIVE})
@@ -118,7 +118,7 @@ class MujocoModel(ModelSpec):
     audit_variants = MappingProxyType(AUDIT_VARIANTS)
     device = staticmethod(run_id.describe_device)
     explain_inactive_column = inactive_parameters.explain_inactive
-    judge = staticmethod(judge)
+    judge = staticmethod(label_rollouts)
 
     @property
     def causes(self) -> dict[str, str]:
@@ -186,7 +186,7 @@ class MujocoModel(ModelSpec):
     def settings_summary(self, settings: EngineSettings) -> dict[str, str]:
         """Return files, engine and time step as texts for readers of a report, by name."""
         listed = {path: ", ".join(names) for path, names in self.listed}
-        model, controller = (listed.get(path, self.nominal_file_of_path(path)) for path in FILE_PATHS[:2])
+        model, controller = (listed.get(path, self.nominal_file_of_parameter(path)) for path in FILE_PATHS[:2])
         about = {"model": model, "controller": controller, "engine": settings.name}
         return {**about, "step": f"{1000 * self.model.opt.timestep:g} ms"}
 
@@ -199,7 +199,7 @@ class MujocoModel(ModelSpec):
         if path in FILE_PATHS:
             if column != path:
                 raise InputError(f"axis {column} is not allowed: a file belongs to both sides, leave out side")
-            return file_name(self.nominal_file_of_path(path))
+            return file_name(self.nominal_file_of_parameter(path))
         if path in self.choices_by_path:  # beside files: pushed bodies
             if column != path:
                 raise InputError(f"axis {column} is not allowed: a pushed body belongs to both sides, leave out side")
@@ -208,7 +208,7 @@ class MujocoModel(ModelSpec):
             return self._terrain_parameter(path)
         if root == "model":
             found = fields.parameter_field(self.model, path)
-            fields.check_variable(self.load_source, self.model, path)
+            fields.require_variable_parameter(self.load_source, self.model, path)
             return found
         those = {
             f"engine.{one.name}": one for one in dataclasses.fields(ModelEngineSettings) if one.name in ENGINE_AXES
@@ -263,7 +263,7 @@ class MujocoModel(ModelSpec):
         yield from ((path, self.nominal_value(path)) for path in paths
                     if path.startswith("model.") and not terrain.is_terrain_path(path))  # fmt: skip
 
-    def describe_unsearched_values(self, table: "pd.DataFrame", settings: EngineSettings) -> tuple[str, ...]:
+    def controller_range_warnings(self, table: "pd.DataFrame", settings: EngineSettings) -> tuple[str, ...]:
         """Return nothing: the ranges for which a user's controller was made are unknown."""
         return ()
 
@@ -274,7 +274,7 @@ class MujocoModel(ModelSpec):
             if column.startswith(("world.controller.", "world.schedule.")):
                 raise InputError(f"axis {column} varies nothing: the controller's parameters belong to the belief")
         for path in (path for path in FILE_PATHS if path in columns):
-            known = {self.nominal_file_of_path(path), *dict(self.listed).get(path, ())}
+            known = {self.nominal_file_of_parameter(path), *dict(self.listed).get(path, ())}
             for name in set(table[path]) - known:
                 raise InputError(f"{path} = {name} is not allowed: an axis of the study lists the files in its values")
         shaping = [c for c in columns if self.parameter(c, settings).metadata["role"] != "quantity"]
@@ -287,20 +287,22 @@ class MujocoModel(ModelSpec):
         self._check_terrain(table, grounds)
         for path in sorted(path for path in varied if fields.is_group(path)):
             members = fields.group_members(self.model, path)
-            print_note(f"{path} moves {len(members)} numbers, {members[0]} to {members[-1]}")
+            print_note_once(f"{path} moves {len(members)} numbers, {members[0]} to {members[-1]}")
         started: set[tuple[str, str]] = set()
         for values in distinct:
             ways = {c.removeprefix("engine."): value for c, value in values.items() if c.startswith("engine.")}
             system = self.with_choices(values)
             system.require_parameters(columns if system is not self else (), settings)
             made = self.make_engine(replace(settings, **ways), *self.make_world_and_belief(values), limits=None)
-            for line in made.check_varied([*fields.select_quantities(system.model, dict.fromkeys(varied)), *grounds]):
-                print_note(line)
-            new = {(path, system.nominal_file_of_path(path)) for path in FILE_PATHS[:2]} - started
+            for line in made.check_varied_parameters(
+                [*fields.select_batchable_values(system.model, dict.fromkeys(varied)), *grounds]
+            ):
+                print_note_once(line)
+            new = {(path, system.nominal_file_of_parameter(path)) for path in FILE_PATHS[:2]} - started
             if new and system is not self:
-                made.check_start()
+                made.check_first_controls()
             started |= new
-        self.make_engine(settings, *self.make_world_and_belief({}), limits=None).check_start()
+        self.make_engine(settings, *self.make_world_and_belief({}), limits=None).check_first_controls()
 
     def require_parameters(self, columns: Iterable[str], settings: EngineSettings) -> None:
         """Raise `InputError` if a study varies a parameter that this model or its controller does not have.
@@ -346,7 +348,7 @@ class MujocoModel(ModelSpec):
         static = [path for path in paths if self._terrain_parameter(path).metadata["role"] != "quantity"]
         groups = table.groupby([columns[path] for path in static]) if static else [((), table)]
         for values, rows in groups:
-            chosen = shape.with_values(dict(zip(static, values, strict=True)))
+            chosen = shape.replace_settings(dict(zip(static, values, strict=True)))
             terrain.check_terrain_size(chosen)
             numbers = {
                 name: rows[columns[path]].to_numpy() if path in columns else self.nominal_value(path)
@@ -354,13 +356,15 @@ class MujocoModel(ModelSpec):
             }
             terrain.check_height_range(chosen, numbers)
 
-    def find_random_rows(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
+    def find_stochastic_rows(self, rows: "pd.DataFrame", settings: EngineSettings) -> np.ndarray:
         """Return which rows draw random numbers, for sensor errors or possibly in the controller."""
         return np.ones(len(rows), dtype=bool)
 
-    def make_world_and_belief(self, values: ColumnValues) -> tuple[SideValues, SideValues]:
+    def make_world_and_belief(self, values: ColumnValues) -> tuple[ParameterOverrides, ParameterOverrides]:
         """Make the values for the simulated world and those that the controller believes, from values by column."""
-        world, belief = (SideValues(tuple(chosen.items())) for chosen in split_world_and_belief(values).values())
+        world, belief = (
+            ParameterOverrides(tuple(chosen.items())) for chosen in split_world_and_belief(values).values()
+        )
         return world, belief
 
     def allocate_delay_buffers(self, table: "pd.DataFrame") -> "MujocoModel":
@@ -376,14 +380,18 @@ class MujocoModel(ModelSpec):
         action_room = max(self.action_buffer, longest("noise.action_delay"))
         return replace(self, delay_buffer=max(self.delay_buffer, room), action_buffer=action_room)
 
-    def make_engine(self, settings: EngineSettings, world: SideValues, belief: SideValues, limits: Any) -> ModelEngine:
+    def make_engine(
+        self, settings: EngineSettings, world: ParameterOverrides, belief: ParameterOverrides, limits: Any
+    ) -> ModelEngine:
         """Compile an engine that simulates the model on C MuJoCo, MJX or a kernel."""
         chosen = self.with_choices(dict(world.values))
-        model, shape = self.model_values(world), chosen.config.terrain
+        model, shape = self.select_model_values(world), chosen.config.terrain
         shared = {
-            path: value for path, value in model.items() if path not in fields.select_quantities(chosen.model, model)
+            path: value
+            for path, value in model.items()
+            if path not in fields.select_batchable_values(chosen.model, model)
         }
-        ground = shape.with_values(world.select_group("model")) if shape else None
+        ground = shape.replace_settings(world.select_group("model")) if shape else None
         option = (*chosen.config.option, *shared.items())
         system = replace(chosen, config=replace(chosen.config, option=option, terrain=ground))
         made = self._make_engine(system, settings)
@@ -427,10 +435,10 @@ class MujocoModel(ModelSpec):
         return self.causes.get(str(row["cause"]), "")
 
 
-def build_nominal(values: Mapping[str, Any], kinds: ClassesByKind) -> SystemSetup:
+def build_nominal_system(values: Mapping[str, Any], kinds: ClassesByKind) -> SystemSetup:
     """Build the system of a MuJoCo model at nominal parameters from a plain configuration."""
     about = _parse_model(values["model"])
-    settings, usual = build(ModelEngineSettings, values["engine"], "engine"), ModelEngineSettings()
+    settings, usual = build_instance(ModelEngineSettings, values["engine"], "engine"), ModelEngineSettings()
     for field in dataclasses.fields(usual):
         if field.name not in ENGINE_SETTINGS and getattr(settings, field.name) != getattr(usual, field.name):
             raise InputError(f"engine.{field.name} is not allowed: the model's file sets it")
@@ -451,7 +459,8 @@ def build_nominal(values: Mapping[str, Any], kinds: ClassesByKind) -> SystemSetu
     for path in asked:
         require_choice(path, system.parameters, path)
     numbers = tuple(
-        (path, check_value(one, asked.get(path, one.default), path)) for path, one in system.parameters.items()
+        (path, convert_and_check_value(one, asked.get(path, one.default), path))
+        for path, one in system.parameters.items()
     )
     _ = system.observed_slices, system.keyframe_index  # which refuse unknown names
     conditions = parse_conditions(values.get("outcome") or {}, system.metric_names, CAUSE_MEANINGS)
@@ -493,7 +502,7 @@ def _parse_model(given: Mapping[str, Any]) -> ModelConfig:
         said[key] = tuple(names)
     direction, option = said.get("direction", ModelConfig.direction), said.get("option", {})
     along = direction if isinstance(direction, list | tuple) else ()
-    along = tuple(check_value(quantity(0.0, ""), one, "model.direction") for one in along)
+    along = tuple(convert_and_check_value(quantity(0.0, ""), one, "model.direction") for one in along)
     if len(along) != 3 or not any(along):
         raise InputError(f"model.direction = {direction!r} is not allowed: a vector in world axes, such as [1, 0, 0]")
     if not isinstance(option, Mapping):
@@ -504,7 +513,8 @@ def _parse_model(given: Mapping[str, Any]) -> ModelConfig:
         {f"model.option.{name}": value for name, value in option.items()},
     )
     options = tuple(
-        (path, check_value(fields.parameter_field(model, path), value, path)) for path, value in paths.items()
+        (path, convert_and_check_value(fields.parameter_field(model, path), value, path))
+        for path, value in paths.items()
     )
     spec = files.read_policy_spec(said.get("controller", ""))
     if spec and spec.period and said.setdefault("period", spec.period) != spec.period:
@@ -513,7 +523,7 @@ def _parse_model(given: Mapping[str, Any]) -> ModelConfig:
             f"its {policy_spec.SPECIFICATION_SUFFIX.removeprefix('.')} says {spec.period:g} s",
         )
         raise InputError(f"model.period = {said['period']} is not allowed for {name}: {told}")
-    about = build(ModelConfig, {**said, "direction": along, "option": options}, "model")
+    about = build_instance(ModelConfig, {**said, "direction": along, "option": options}, "model")
     if about.duration < about.period:
         allowed = f"at least model.period, {about.period:g} s"
         raise InputError(f"model.duration = {about.duration:g} is not allowed: {allowed}")
@@ -536,7 +546,7 @@ def _digest_listed(path: str, name: str, ground: terrain.TerrainConfig | None) -
     """Hash what a value of an axis over files names. Raises `InputError`."""
     if path == "model.mjcf":
         return files.digest_model(files.load_model(name, ground))
-    return files.digest_contents(_listed_files(path, name))
+    return files.digest_file_contents(_listed_files(path, name))
 
 
 def _listed_files(path: str, name: str) -> list[Path]:
@@ -553,7 +563,7 @@ def _listed_files(path: str, name: str) -> list[Path]:
 def _list_source_files(system: MujocoModel) -> list[Path]:
     """List all files that define a system, those of axes included."""
     found = [*files.list_files(system.config.mjcf), *system.controller.files]
-    if image := system.nominal_file_of_path("model.terrain.file"):
+    if image := system.nominal_file_of_parameter("model.terrain.file"):
         found += _listed_files("model.terrain.file", image)
     for one in system.actuator_networks:
         found += files.controller_files(one.file)
@@ -589,7 +599,7 @@ def _build_variant(values: str, chosen: tuple[tuple[str, str], ...], content: st
             group = group[parent]
         group[key] = name
     try:
-        system = build_nominal(plain, {}).system
+        system = build_nominal_system(plain, {}).system
     except InputError as error:
         told = ", ".join(f"{path} = {name}" for path, name in chosen if f"{path} = {name}" not in str(error))
         raise InputError(f"{error} ({told})" if told else str(error)) from None

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweep.contract.engine import Metrics
-from sweep.core.metric import Array, compute_columns, keep_ended_states, select_metrics
+from sweep.core.metric import Array, compute_columns, freeze_ended_states, select_metrics
 from sweep.systems.mujoco_model.metrics import METRICS
 from sweep.systems.mujoco_model.model_spec import ModelSpec
 from sweep.systems.mujoco_model.tick import ModelPartIndices, ModelRollout, ModelStart, ModelTick
@@ -61,7 +61,7 @@ class MetricAccumulator:
         states = tuple(metric.update(state, ctx) for metric, state in zip(self._metrics, running.states, strict=True))
         ends = steps["qpos"][:, -1], steps["qvel"][:, -1]
         new = ModelMetricStates(running.steps + ctx.number, running.start_qpos, *ends, states)
-        return keep_ended_states(going, new, running)
+        return freeze_ended_states(going, new, running)
 
     def compute(self, running: ModelMetricStates, mass: Array, gained: Array, broken: Array, full: Array) -> Metrics:
         """Compute the metric columns (n,) of all rollouts.

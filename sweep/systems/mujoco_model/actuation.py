@@ -10,7 +10,7 @@ from sweep.core.errors import InputError
 JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 
-class JointControl(NamedTuple):
+class JointPdControl(NamedTuple):
     """Proportional-derivative law from joint targets to controls; actuators without a law take commands as controls."""
 
     qpos: np.ndarray  # (nu,) index of the joint's position
@@ -74,7 +74,7 @@ def is_servo(model: mujoco.MjModel) -> np.ndarray:
 
 def make_joint_control(
     model: mujoco.MjModel, actuators: np.ndarray, stiffness: np.ndarray, damping: np.ndarray, limit: np.ndarray
-) -> JointControl:
+) -> JointPdControl:
     """Make the proportional-derivative law that turns joint targets into torques of the given motors.
 
     Args:
@@ -95,7 +95,7 @@ def make_joint_control(
 
     joints = model.actuator_trnid[actuators, 0]
     lever = model.actuator_gear[actuators, 0] * model.actuator_gainprm[actuators, 0]
-    return JointControl(
+    return JointPdControl(
         spread(model.jnt_qposadr[joints], 0).astype(int),
         spread(model.jnt_dofadr[joints], 0).astype(int),
         spread(stiffness, 0.0),

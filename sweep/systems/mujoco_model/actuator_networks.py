@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from sweep.core.errors import InputError, require_choice
-from sweep.core.parameters import check_value, count, quantity
+from sweep.core.parameters import convert_and_check_value, count, quantity
 from sweep.systems.mujoco_model import files, onnx_network
 
 KEYS = {  # of a motor with a network, beside the network's file
@@ -41,10 +41,10 @@ class ActuatorNetwork(NamedTuple):
     order: str
     recurrent: tuple[tuple[str, str], ...]  # inputs of the network that receive outputs of the step before
 
-    def load_evaluation(self) -> Callable[[Any, Any], tuple[Any, Any]]:
+    def load_torque_function(self) -> Callable[[Any, Any], tuple[Any, Any]]:
         """Load the network as a function from samples and memory of all joints to torques. Raises `InputError`."""
         network = _read(self.file)
-        return onnx_network.make_joint_network(network, dict(self.recurrent), 2 * self.history)
+        return onnx_network.vectorize_joint_network(network, dict(self.recurrent), 2 * self.history)
 
     def begin(self, n: int) -> dict[str, Any]:
         """Return the state of n rollouts before the first step: no past errors or velocities, network memory zero."""
@@ -119,7 +119,8 @@ def parse_network(
         model: The model.
     """
     numbers = {
-        key: check_value(one, config.get(key, one.default), f"{error_prefix}.{key}") for key, one in KEYS.items()
+        key: convert_and_check_value(one, config.get(key, one.default), f"{error_prefix}.{key}")
+        for key, one in KEYS.items()
     }
     order, recurrent = config.get("order", INPUT_ORDERS[0]), config.get("recurrent") or {}
     require_choice(order, INPUT_ORDERS, f"{error_prefix}.order = {order}")
@@ -136,11 +137,11 @@ def parse_network(
             )
     name, joints = str(config["network"]), model.actuator_trnid[list(actuators), 0]
     file = files.require_file("network", name, files.ONNX_SUFFIX, error_prefix)
-    found = ActuatorNetwork(name, files.digest_contents(files.list_network_files(file)), tuple(actuators),
+    found = ActuatorNetwork(name, files.digest_file_contents(files.list_network_files(file)), tuple(actuators),
                             tuple(map(int, model.jnt_qposadr[joints])), tuple(map(int, model.jnt_dofadr[joints])),
                             **numbers, order=order, recurrent=tuple(sorted(recurrent.items())))  # fmt: skip
     try:
-        found.load_evaluation()
+        found.load_torque_function()
     except InputError as error:
         raise InputError(f"{error_prefix}.network: {error}") from None
     return found

@@ -17,15 +17,15 @@ from sweep.systems.mujoco_model.model_spec import (
     PHYSICAL,
     TERM_NOISE_PARAMETERS,
     ModelSpec,
-    SideValues,
+    ParameterOverrides,
     append_arrays,
 )
 
 PUSH_KEY, START_KEY = 2**31 - 1, 2**31 - 2  # of random pushes and initial states; controllers have those from 0 on
 
 
-class BatchStart(NamedTuple):
-    """A batch of n rollouts before their first control tick, made by `start_batch`."""
+class InitialBatch(NamedTuple):
+    """A batch of n rollouts before their first control tick, made by `make_initial_batch`."""
 
     batch: Batch  # at the keyframe
     qpos: np.ndarray  # (n, nq), of the batch: what is written here is where it goes on from
@@ -63,7 +63,7 @@ class BatchStart(NamedTuple):
         """Return the MuJoCo model of the rollout at index `slot` of the batch, for drawing."""
         if self.ground is None:
             return self.batch.get_model(slot)
-        return self.ground.make_picture_model(self.batch, slot, self.alone)
+        return self.ground.make_render_model(self.batch, slot, self.alone)
 
     def energy(self, qpos: Any = None, qvel: Any = None) -> np.ndarray:
         """Return the mechanical energy (n,) in J of each rollout, in its present state or in a given one.
@@ -94,13 +94,17 @@ class BatchStart(NamedTuple):
         return np.isfinite(self.qpos).all(axis=1) & np.isfinite(self.qvel).all(axis=1)
 
 
-def start_batch(
-    spec: ModelSpec, settings: EngineSettings, world: SideValues, belief: SideValues, streams: np.ndarray
-) -> BatchStart:
+def make_initial_batch(
+    spec: ModelSpec,
+    settings: EngineSettings,
+    world: ParameterOverrides,
+    belief: ParameterOverrides,
+    streams: np.ndarray,
+) -> InitialBatch:
     """Make models and initial states of n rollouts. Raises `InputError` where MuJoCo cannot batch the model."""
     n, number = len(streams), np.dtype(settings.precision).type
     ground = spec.make_terrain(world, n)
-    model = ground.with_heights(spec.compile_with_height_fields(len(ground.heights))) if ground else spec.model
+    model = ground.fill_height_fields(spec.compile_with_height_fields(len(ground.heights))) if ground else spec.model
     try:
         batch = Batch(model, n, devices.count_cores())
     except ValueError as error:  # as of bodies that sleep
@@ -113,11 +117,11 @@ def start_batch(
         for name in ("geom_xpos", "geom_xmat"):
             batch.bind(name)
         ground.assign_height_fields(batch)
-    varied = fields.select_quantities(spec.model, spec.model_values(world))
+    varied = fields.select_batchable_values(spec.model, spec.select_model_values(world))
     rows = {path: np.broadcast_to(value, (n,)) for path, value in varied.items()}
-    numbers = simulated_numbers(spec, world)
+    numbers = world_parameter_values(spec, world)
     written = payloads.write_payloads(batch, spec.payloads, numbers)
-    written |= fields.write_values(batch, rows, spec.load_source)
+    written |= fields.write_batch_parameters(batch, rows, spec.load_source)
     batch.reset(keyframe=spec.keyframe_index, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
     values = controller_inputs(spec, world, belief)
     policy_inputs = {
@@ -136,10 +140,10 @@ def start_batch(
     offsets = initial_state.make_offsets(spec.model, numbers, 2 * luck - 1)
     mass = batch.expand("body_mass").sum(axis=1)
     start = batch, qpos, qvel, sensordata, arrays, policy_inputs, mass, limits, acting, written, offsets
-    return BatchStart(*start, ground, spec.model)
+    return InitialBatch(*start, ground, spec.model)
 
 
-def make_pushes(spec: ModelSpec, world: SideValues, streams: np.ndarray) -> disturbances.Disturbances:
+def make_pushes(spec: ModelSpec, world: ParameterOverrides, streams: np.ndarray) -> disturbances.Disturbances:
     """Make the pushes and command delays that act on a batch, without motor limits.
 
     Args:
@@ -148,7 +152,7 @@ def make_pushes(spec: ModelSpec, world: SideValues, streams: np.ndarray) -> dist
         streams: Noise stream of each rollout (n,), which the times of random pushes are drawn from.
     """
     uniform = draw_uniform(streams, PUSH_KEY, len(spec.pushes))
-    return disturbances.make_disturbances(spec.pushes, simulated_numbers(spec, world), uniform)
+    return disturbances.make_disturbances(spec.pushes, world_parameter_values(spec, world), uniform)
 
 
 def draw_uniform(streams: np.ndarray, purpose: int, count: int) -> np.ndarray:
@@ -168,9 +172,9 @@ def draw_uniform(streams: np.ndarray, purpose: int, count: int) -> np.ndarray:
     return np.asarray(jax.vmap(lambda key: jax.random.uniform(key, (count,), jax.numpy.float32))(keys), float)
 
 
-def controller_inputs(spec: ModelSpec, world: SideValues, belief: SideValues) -> dict[str, Any]:
+def controller_inputs(spec: ModelSpec, world: ParameterOverrides, belief: ParameterOverrides) -> dict[str, Any]:
     """Return what the controllers of a batch receive: believed parameters, observation errors, and schedule factors."""
-    noise = simulated_numbers(spec, world)
+    noise = world_parameter_values(spec, world)
     told = spec.believed_values({**belief.select_group("model"), **belief.select_group("controller")})
     found = {"belief": told, **{name: noise[f"noise.{name}"] for name in ("delay", "white", "bias")}}
     factors = {**dict(spec.controller_values), **belief.select_group("schedule")}
@@ -181,15 +185,17 @@ def controller_inputs(spec: ModelSpec, world: SideValues, belief: SideValues) ->
     return found
 
 
-def simulated_numbers(spec: ModelSpec, world: SideValues) -> dict[str, Any]:
+def world_parameter_values(spec: ModelSpec, world: ParameterOverrides) -> dict[str, Any]:
     """Return the values of noise and push parameters in the simulated world, by path."""
     groups = (world.select_group(name) for name in ("noise", *PHYSICAL))
     return {**dict(spec.controller_values), **{path: value for group in groups for path, value in group.items()}}
 
 
-def without_random_start(spec: ModelSpec) -> SideValues:
+def unperturbed_start_values(spec: ModelSpec) -> ParameterOverrides:
     """Return the nominal parameter values with all random deviations of the initial state set to zero."""
-    return SideValues(tuple((path, 0.0) for path in spec.parameters if path.startswith(f"{initial_state.RANDOM}.")))
+    return ParameterOverrides(
+        tuple((path, 0.0) for path in spec.parameters if path.startswith(f"{initial_state.RANDOM}."))
+    )
 
 
 def count_ticks(spec: ModelSpec, duration: Any) -> np.ndarray:
@@ -204,7 +210,7 @@ def count_ticks(spec: ModelSpec, duration: Any) -> np.ndarray:
     return found.astype(int)
 
 
-def varied_model_fields(begun: BatchStart) -> dict[str, np.ndarray]:
+def varied_model_fields(begun: InitialBatch) -> dict[str, np.ndarray]:
     """Return the fields of MuJoCo models (n, ...) that differ from the nominal model in a batch, by name."""
     model, found = begun.batch.model, mujoco_versions.differing_model_fields(begun.batch, begun.written)
     return {name: rows for name, rows in sorted(found.items()) if (rows != fields.field_values(model, name)).any()}

@@ -27,14 +27,19 @@ from sweep.contract.engine import (
 )
 from sweep.contract.engine_settings import EngineSettings
 from sweep.core.errors import InputError
-from sweep.fused.dependence import find_unread_columns
+from sweep.fused.dependence import find_inactive_parameters
 from sweep.systems.mujoco_model import batch
 from sweep.systems.mujoco_model.accumulator import MetricAccumulator, ModelMetricStates
 from sweep.systems.mujoco_model.actuator_networks import compute_torques
 from sweep.systems.mujoco_model.disturbances import delay_commands
-from sweep.systems.mujoco_model.metrics.unsolved import BALANCE_FIELDS, is_unbalanced
-from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
-from sweep.systems.mujoco_model.policy import ControllerBatch, ControllerPrograms, FirstTick, TiledActuators
+from sweep.systems.mujoco_model.metrics.unsolved import BALANCE_FIELDS, find_unbalanced_steps
+from sweep.systems.mujoco_model.model_spec import ModelSpec, ParameterOverrides
+from sweep.systems.mujoco_model.policy import (
+    ControllerBatch,
+    ControllerPrograms,
+    FirstTickEvaluation,
+    TiledActuatorNetwork,
+)
 from sweep.systems.mujoco_model.tick import STEP_FIELDS
 
 BUFFER_WARNINGS = [
@@ -61,7 +66,7 @@ BatchResult = tuple[Metrics, list[TickSample], list[mujoco.MjModel]]  # of a bat
 
 
 @cache
-def print_note(line: str) -> None:
+def print_note_once(line: str) -> None:
     """Print a note for the user to standard error before a study starts; each text is printed only once."""
     print(f"sweep: note: {line}", file=sys.stderr)
 
@@ -101,40 +106,45 @@ class ModelEngine:
             reason = " ".join(str(error).split())
             raise InputError(f"model.mjcf = {self._spec.config.mjcf} cannot be simulated: {reason}") from None
 
-    def _start_nominal(self) -> batch.BatchStart:
-        world = batch.without_random_start(self._spec)
-        return batch.start_batch(self._spec, self._settings, world, SideValues(), np.zeros(1, np.int64))
+    def _start_nominal(self) -> batch.InitialBatch:
+        world = batch.unperturbed_start_values(self._spec)
+        return batch.make_initial_batch(self._spec, self._settings, world, ParameterOverrides(), np.zeros(1, np.int64))
 
-    def check_start(self) -> None:
+    def check_first_controls(self) -> None:
         """Raise `InputError` where the controller's first controls are not finite at nominal values."""
         begun = self._start_nominal()
         with self._within():
-            self._programs.check_start(begun)
+            self._programs.check_first_controls(begun)
 
-    def evaluate_first_tick(self) -> FirstTick:
+    def evaluate_first_tick(self) -> FirstTickEvaluation:
         """Return the controller's observations and commands at the nominal start. Raises `InputError`."""
         begun = self._start_nominal()
         with self._within():
             return self._programs.evaluate_first_tick(begun)
 
-    def check_varied(self, paths: Iterable[str]) -> Iterable[str]:
+    def check_varied_parameters(self, paths: Iterable[str]) -> Iterable[str]:
         """Raise `InputError` if the engine cannot vary the parameters `paths` in a batch; return warning lines."""
         return ()
 
     def rollout_bytes(self) -> None:
         """Return None, since the memory that a rollout needs is unknown."""
 
-    def find_unread_columns(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
+    def find_inactive_parameters(self, sides: SideMaker, ends: Mapping[str, tuple[float, float]]) -> set[str]:
         """Return the parameter columns that the controller does not read; MuJoCo model columns count as read."""
         with self._within():
-            return find_unread_columns(self._programs.rollout_outputs, sides, ends)
+            return find_inactive_parameters(self._programs.rollout_outputs, sides, ends)
 
-    def run(self, world: SideValues, belief: SideValues, streams: np.ndarray) -> Metrics:
+    def run(self, world: ParameterOverrides, belief: ParameterOverrides, streams: np.ndarray) -> Metrics:
         """Simulate a batch and return its metrics."""
         return self._simulate_columns(world, belief, streams)[0]
 
     def run_with_time_series(
-        self, world: SideValues, belief: SideValues, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
+        self,
+        world: ParameterOverrides,
+        belief: ParameterOverrides,
+        streams: np.ndarray,
+        slots: np.ndarray,
+        watch: TimeSeriesRequest,
     ) -> tuple[Metrics, np.ndarray]:
         """Simulate a batch; return its metrics, and columns of some rollouts over time."""
         found, frames, _ = self._simulate_columns(world, belief, streams, slots, watch.every)
@@ -143,12 +153,12 @@ class ModelEngine:
         samples = [np.stack([one.get(name, none) for name in watch.columns], axis=-1) for one in columns]
         return found, np.stack(samples) if samples else np.zeros((0, len(slots), len(watch.columns)))
 
-    def trace(self, world: SideValues, belief: SideValues, streams: np.ndarray, slot: int) -> Trace:
+    def trace(self, world: ParameterOverrides, belief: ParameterOverrides, streams: np.ndarray, slot: int) -> Trace:
         """Simulate a batch and record the states over time (trace) of the rollout at index `slot`."""
         return self.traces(world, belief, streams, 1, [slot])[0]
 
     def traces(
-        self, world: SideValues, belief: SideValues, streams: np.ndarray, every: int, slots: Any = None
+        self, world: ParameterOverrides, belief: ParameterOverrides, streams: np.ndarray, every: int, slots: Any = None
     ) -> list[Trace]:
         """Simulate a batch and record states over time (traces) of the rollouts at indices `slots` (default: all)."""
         slots = range(len(streams)) if slots is None else slots
@@ -163,7 +173,7 @@ class ModelEngine:
             row = {name: values[slot] for name, values in found.items()}
             within = time <= row["duration_s"] + self._spec.config.period / 2
             ctrl, qpos, qvel, force, policy = (values[within, k] for values in recorded)
-            base, model, count = self._spec.base_address, models[k], int(within.sum())
+            base, model, count = self._spec.base_qpos_address, models[k], int(within.sum())
             pose = np.tile([0.0, 0, 0, 1, 0, 0, 0], (count, 1)) if base is None else qpos[:, base : base + 7]
             moved = time[within], qpos, qvel, ctrl, force @ joint_moment_arms(model)
             none = np.zeros((count, 0, 3))  # of feet
@@ -187,7 +197,12 @@ class ModelEngine:
         return found, frames, models
 
     def _simulate(
-        self, world: SideValues, belief: SideValues, streams: np.ndarray, slots: Any = (), every: int = 1
+        self,
+        world: ParameterOverrides,
+        belief: ParameterOverrides,
+        streams: np.ndarray,
+        slots: Any = (),
+        every: int = 1,
     ) -> BatchResult:
         """Figures of a batch; of the rollouts in `slots` frames at one in `every` ticks, and their models."""
         raise NotImplementedError
@@ -212,12 +227,17 @@ class NativeModelEngine(ModelEngine):
             yield
 
     def _simulate(
-        self, world: SideValues, belief: SideValues, streams: np.ndarray, slots: Any = (), every: int = 1
+        self,
+        world: ParameterOverrides,
+        belief: ParameterOverrides,
+        streams: np.ndarray,
+        slots: Any = (),
+        every: int = 1,
     ) -> BatchResult:
         spec, n = self._spec, len(streams)
         # figures of a tick are worked out, on one core, while the next one is simulated on all of them
         with self._within(), ThreadPoolExecutor(1) as aside:
-            begun = batch.start_batch(spec, self._settings, world, belief, streams)
+            begun = batch.make_initial_batch(spec, self._settings, world, belief, streams)
             qpos, qvel = begun.qpos, begun.qvel
             rollouts = ControllerBatch(self._programs, begun.policy_inputs, n)
             before_all = begun.set_initial_state(rollouts.start)
@@ -226,7 +246,7 @@ class NativeModelEngine(ModelEngine):
             metric_state = aside.submit(self._meter.start, qpos.copy(), qvel.copy())
 
             def update_metrics(metric_state: Any, steps: Any, going: np.ndarray) -> ModelMetricStates:
-                steps = {**steps, "unsolved": find_unsolved_steps(self._model, steps)}
+                steps = {**steps, "unsolved": find_unconverged_steps(self._model, steps)}
                 return self._meter.update(metric_state, steps, begun.limits, going)
 
             broken, frames = np.zeros(n, dtype=bool), []
@@ -244,9 +264,9 @@ class NativeModelEngine(ModelEngine):
                 metric_state = aside.submit(update_metrics, metric_state.result(), steps, going)
                 if len(slots) and (k + 1) % every == 0:
                     last = (steps[name][slots, -1] for name in ("qpos", "qvel", "actuator_force"))
-                    time, policy = (k + 1) * spec.config.period, rollouts.read_policy(slots)
+                    time, policy = (k + 1) * spec.config.period, rollouts.read_observations_and_actions(slots)
                     frames.append(TickSample(time, ctrl[slots], *last, policy=policy))
-            own_figures = rollouts.finish(spec.observable_state(qpos, qvel, seen))
+            own_figures = rollouts.compute_rollout_metrics(spec.observable_state(qpos, qvel, seen))
         warned = begun.batch.warning[:, :, 0] > 0
         full, broken = (
             warned[:, BUFFER_WARNINGS].any(axis=1),
@@ -267,13 +287,13 @@ class TickStepper:
         shares: How much of a new command counts in each physics step of a tick, beside the one before, (s,).
     """
 
-    def __init__(self, spec: ModelSpec, begun: batch.BatchStart, shares: np.ndarray):
+    def __init__(self, spec: ModelSpec, begun: batch.InitialBatch, shares: np.ndarray):
         self._spec, self._begun, self._shares = spec, begun, shares
         n, model = begun.batch.nsim, spec.model
         self._control, self._motors, self._bodies = spec.controller.joint_control, spec.motor_law, spec.pushed_bodies
         self._commands = np.zeros((n, len(shares), model.nu))
         self._before: np.ndarray | None = None
-        self._networks = [TiledActuators(one) for one in spec.actuator_networks]
+        self._networks = [TiledActuatorNetwork(one) for one in spec.actuator_networks]
         self._network_states = [one.begin(n) for one in spec.actuator_networks]
         self._past = np.zeros((n, spec.action_buffer, model.nu))  # commands of the steps before
         self._first = 0  # number of the next step
@@ -346,7 +366,7 @@ class TickStepper:
         return {**steps, "push_work": (forces[:, :-1] * way).sum(axis=(1, 2, 3))}
 
 
-def find_unsolved_steps(model: mujoco.MjModel, steps: Mapping[str, np.ndarray]) -> np.ndarray:
+def find_unconverged_steps(model: mujoco.MjModel, steps: Mapping[str, np.ndarray]) -> np.ndarray:
     """Return in which physics steps (n, s) the contact solver did not converge within its iteration limit.
 
     What PGS and noslip find balances whatever it is, so that of theirs the iterations alone are known.
@@ -357,5 +377,5 @@ def find_unsolved_steps(model: mujoco.MjModel, steps: Mapping[str, np.ndarray]) 
         row, column = np.repeat(np.arange(model.nv), model.M_rownnz), model.M_colind
         mass = np.zeros((len(inertia), model.nv, model.nv))  # of which the lower triangle is recorded
         mass[:, row, column] = mass[:, column, row] = inertia
-        found[found] = is_unbalanced(mass, *forces)
+        found[found] = find_unbalanced_steps(mass, *forces)
     return found

@@ -17,7 +17,7 @@ import numpy as np
 from mujoco.batch import MODEL_FIELDS, Batch
 
 from sweep.contract.system import Parameter
-from sweep.core.errors import InputError, require_choice, suggest
+from sweep.core.errors import InputError, format_name_suggestion, require_choice
 from sweep.core.parameters import choice, count, quantity, setting
 
 XYZ = ("x", "y", "z")
@@ -26,7 +26,7 @@ FRICTION_COMPONENTS = ("slide", "spin", "roll")
 OPTION_KIND, PATH_ROOT = "option", "model"
 
 
-class NumberSpec(NamedTuple):
+class FieldSpec(NamedTuple):
     """Unit, bounds and component names of a MuJoCo model field that a study may vary."""
 
     unit: str = ""
@@ -86,33 +86,33 @@ VARIABLE_WORDS = {
 }
 # what these words mean, of any kind or of one; of the others nothing is known
 WORD_MEANINGS = {
-    "mass": NumberSpec("kg", 1e-9),  # inertia in proportion: another density
-    "inertia": NumberSpec("kg m^2", 1e-12, XYZ),
-    "pos ipos": NumberSpec("m", component_names=XYZ),  # the latter of the centre of mass
-    "geom.pos": NumberSpec("m", component_names=XYZ, needs_compiler=True),
-    "geom.size": NumberSpec("m", 1e-6, needs_compiler=True),  # by the names of its shape: `SIZE_MEANINGS`
-    "site.size": NumberSpec("m", 1e-6),
-    "friction": NumberSpec("", 0.0, FRICTION_COMPONENTS),
-    "pair.friction": NumberSpec("", 0.0, ("slide", "slide2", "spin", "roll", "roll2")),
-    "geom.margin pair.margin gap": NumberSpec("m"),
-    "cranklength": NumberSpec("m", 1e-9),
-    "stiffness damping armature frictionloss fluid solmix cutoff": NumberSpec("", 0.0),
-    "solref solreflimit solreffriction": NumberSpec(component_names=SOLREF_COMPONENTS),
-    "solimp solimplimit solimpfriction": NumberSpec(component_names=SOLIMP_COMPONENTS),
-    "range actuatorfrcrange forcerange ctrlrange actrange": NumberSpec(component_names=RANGE_COMPONENTS),
-    "tendon.range springlength": NumberSpec("m", component_names=RANGE_COMPONENTS),
-    "gravity": NumberSpec("m/s^2", component_names=XYZ),
-    "wind": NumberSpec("m/s", component_names=XYZ),
-    "magnetic": NumberSpec(component_names=XYZ),
-    "density": NumberSpec("kg/m^3", 0.0),
-    "viscosity": NumberSpec("Pa s", 0.0),
-    "impratio": NumberSpec("", 1e-9),
-    "tolerance ls_tolerance noslip_tolerance ccd_tolerance": NumberSpec("", 0.0),
+    "mass": FieldSpec("kg", 1e-9),  # inertia in proportion: another density
+    "inertia": FieldSpec("kg m^2", 1e-12, XYZ),
+    "pos ipos": FieldSpec("m", component_names=XYZ),  # the latter of the centre of mass
+    "geom.pos": FieldSpec("m", component_names=XYZ, needs_compiler=True),
+    "geom.size": FieldSpec("m", 1e-6, needs_compiler=True),  # by the names of its shape: `SIZE_MEANINGS`
+    "site.size": FieldSpec("m", 1e-6),
+    "friction": FieldSpec("", 0.0, FRICTION_COMPONENTS),
+    "pair.friction": FieldSpec("", 0.0, ("slide", "slide2", "spin", "roll", "roll2")),
+    "geom.margin pair.margin gap": FieldSpec("m"),
+    "cranklength": FieldSpec("m", 1e-9),
+    "stiffness damping armature frictionloss fluid solmix cutoff": FieldSpec("", 0.0),
+    "solref solreflimit solreffriction": FieldSpec(component_names=SOLREF_COMPONENTS),
+    "solimp solimplimit solimpfriction": FieldSpec(component_names=SOLIMP_COMPONENTS),
+    "range actuatorfrcrange forcerange ctrlrange actrange": FieldSpec(component_names=RANGE_COMPONENTS),
+    "tendon.range springlength": FieldSpec("m", component_names=RANGE_COMPONENTS),
+    "gravity": FieldSpec("m/s^2", component_names=XYZ),
+    "wind": FieldSpec("m/s", component_names=XYZ),
+    "magnetic": FieldSpec(component_names=XYZ),
+    "density": FieldSpec("kg/m^3", 0.0),
+    "viscosity": FieldSpec("Pa s", 0.0),
+    "impratio": FieldSpec("", 1e-9),
+    "tolerance ls_tolerance noslip_tolerance ccd_tolerance": FieldSpec("", 0.0),
 }
 MEANING_BY_WORD = {word: numbers for words, numbers in WORD_MEANINGS.items() for word in words.split()}
 VARIABLE_NUMBERS = {
     kind: {
-        name: MEANING_BY_WORD.get(f"{kind}.{name}", MEANING_BY_WORD.get(name, NumberSpec()))._replace(
+        name: MEANING_BY_WORD.get(f"{kind}.{name}", MEANING_BY_WORD.get(name, FieldSpec()))._replace(
             field=field or begins + name
         )
         for name, _, field in (word.partition(":") for word in words.split())
@@ -143,8 +143,7 @@ SERVO_WORDS = {  # what is written of a position servo: gain and bias together, 
 STRENGTH = "strength"  # factor of the forces of an actuator, its limit included
 RELATIVE_SUFFIX = ".relative"  # end of a path of a group whose values are factors
 SETTING_NUMBERS = {
-    name: NumberSpec(component_names=("",), field=f"opt.{name}")
-    for name in (*ENUM_OPTIONS, *ITERATION_MINIMA, TIMESTEP)
+    name: FieldSpec(component_names=("",), field=f"opt.{name}") for name in (*ENUM_OPTIONS, *ITERATION_MINIMA, TIMESTEP)
 }
 FIXED = {  # why no other field of `mujoco.batch` can vary, by patterns of their names
     "*_invweight0 *_length0 actuator_acc0 actuator_lengthrange body_subtreemass body_margin bvh_aabb cam_mat0 *_pos0 "
@@ -171,21 +170,21 @@ def parameter_field(model: mujoco.MjModel, path: str) -> Parameter:
         return count(getattr(model.opt, name), at_least=ITERATION_MINIMA[name], at_most=10_000)
     if name == TIMESTEP:
         return setting(model.opt.timestep, "s", above=0, at_most=0.1)
-    numbers, places = locate_numbers(model, path)
+    numbers, places = resolve_parameter_path(model, path)
     if numbers.is_factor:
         return quantity(1.0, numbers.unit, at_least=numbers.at_least)
     value = places[0].sign * float(field_values(model, numbers.field).flat[places[0].flat_index])
     return quantity(value, numbers.unit, at_least=numbers.at_least)
 
 
-def select_quantities(model: mujoco.MjModel, values: Mapping[str, Any]) -> dict[str, Any]:
+def select_batchable_values(model: mujoco.MjModel, values: Mapping[str, Any]) -> dict[str, Any]:
     """Select the parameter values, by path, that may differ between models of one batch: quantities, not options."""
     return {
         path: value for path, value in values.items() if parameter_field(model, path).metadata["role"] == "quantity"
     }
 
 
-def with_scalar_options(model: mujoco.MjModel, values: Mapping[str, Any]) -> mujoco.MjModel:
+def replace_scalar_options(model: mujoco.MjModel, values: Mapping[str, Any]) -> mujoco.MjModel:
     """Return a copy of a model in which the given scalar simulation options have new values."""
     changed = copy(model)
     for path, value in values.items():
@@ -194,7 +193,9 @@ def with_scalar_options(model: mujoco.MjModel, values: Mapping[str, Any]) -> muj
     return changed
 
 
-def write_values(batch: Batch, values: Mapping[str, Any], source: Callable[[], mujoco.MjSpec]) -> frozenset[str]:
+def write_batch_parameters(
+    batch: Batch, values: Mapping[str, Any], source: Callable[[], mujoco.MjSpec]
+) -> frozenset[str]:
     """Write parameter values into the models of a batch, and recompute derived fields.
 
     Args:
@@ -206,12 +207,16 @@ def write_values(batch: Batch, values: Mapping[str, Any], source: Callable[[], m
         Names of the fields that were written.
     """
     values = _expand_groups(batch.model, values)
-    made = {path: value for path, value in values.items() if locate_numbers(batch.model, path)[0].needs_compiler}
+    made = {
+        path: value for path, value in values.items() if resolve_parameter_path(batch.model, path)[0].needs_compiler
+    }
     written = _compile(batch, made, source()) if made else set()
-    factors = [path for path in values if locate_numbers(batch.model, path)[0].is_factor]  # of what the others wrote
+    factors = [
+        path for path in values if resolve_parameter_path(batch.model, path)[0].is_factor
+    ]  # of what the others wrote
     for path in [*(path for path in values if path not in (*made, *factors)), *factors]:
         value = np.asarray(values[path])
-        for field, flat, sign in locate_numbers(batch.model, path)[1]:
+        for field, flat, sign in resolve_parameter_path(batch.model, path)[1]:
             rows = batch.expand(field).reshape(batch.nsim, -1)
             if path in factors:
                 rows[:, flat] *= value
@@ -227,7 +232,7 @@ def write_values(batch: Batch, values: Mapping[str, Any], source: Callable[[], m
     return frozenset(written)
 
 
-def check_variable(source: Callable[[], mujoco.MjSpec], model: mujoco.MjModel, path: str) -> None:
+def require_variable_parameter(source: Callable[[], mujoco.MjSpec], model: mujoco.MjModel, path: str) -> None:
     """Raise `InputError` if a parameter path names a number of the model that a study cannot vary.
 
     Args:
@@ -237,10 +242,10 @@ def check_variable(source: Callable[[], mujoco.MjSpec], model: mujoco.MjModel, p
     """
     if is_group(path):
         for member in group_members(model, path):
-            check_variable(source, model, member)
+            require_variable_parameter(source, model, member)
         return
     kind, number, name, what = find_element(model, path)
-    geom = source().geom(name) if locate_numbers(model, path)[0].needs_compiler else None
+    geom = source().geom(name) if resolve_parameter_path(model, path)[0].needs_compiler else None
     for wrong, why in (
         (kind == "body" and what == "mass" and not model.body_mass[number],
          "the body has no mass in the file, so its inertia cannot be scaled"),
@@ -261,7 +266,7 @@ def _compile(batch: Batch, values: Mapping[str, Any], source: mujoco.MjSpec) -> 
     for k, row in enumerate(rows):
         spec = source.copy()
         for path, value in zip(values, row, strict=True):
-            (place,) = locate_numbers(model, path)[1]
+            (place,) = resolve_parameter_path(model, path)[1]
             getattr(spec.geom(find_element(model, path).name), place.field.removeprefix("geom_"))[
                 place.flat_index % 3
             ] = value
@@ -292,14 +297,14 @@ def find_element(model: mujoco.MjModel, path: str) -> NamedElement:
             return NamedElement(kind, number, name, rest.removeprefix(name).removeprefix("."))
     count = len(field_values(model, next(iter(VARIABLE_NUMBERS[kind].values())).field))
     names = (mujoco.mj_id2name(model, OBJECT_TYPES[kind], k) for k in range(count))
-    near = suggest(parts[0], filter(None, names))
+    near = format_name_suggestion(parts[0], filter(None, names))
     raise InputError(f"axis {path} is not allowed: no {kind} is called {parts[0]}{near}")
 
 
-def locate_numbers(model: mujoco.MjModel, path: str) -> tuple[NumberSpec, list[NumberLocation]]:
+def resolve_parameter_path(model: mujoco.MjModel, path: str) -> tuple[FieldSpec, list[NumberLocation]]:
     """Return the meaning of a parameter path, and which numbers of the model it sets. Raises `InputError`."""
     if is_group(path):
-        every = [locate_numbers(model, member) for member in group_members(model, path)]
+        every = [resolve_parameter_path(model, member) for member in group_members(model, path)]
         return every[0][0], [place for _, places in every for place in places]
     kind, number, _, what = find_element(model, path)
     if kind == "actuator" and what == STRENGTH:
@@ -336,7 +341,7 @@ def _places(model: mujoco.MjModel, kind: str, number: int, field: str) -> tuple[
     return (len(freedoms), freedoms[:1]) if size == 1 else (size, [k * size for k in freedoms])
 
 
-def _servo(model: mujoco.MjModel, path: str, word: str, number: int) -> tuple[NumberSpec, list[NumberLocation]]:
+def _servo(model: mujoco.MjModel, path: str, word: str, number: int) -> tuple[FieldSpec, list[NumberLocation]]:
     gain, bias = model.actuator_gainprm[number], model.actuator_biasprm[number]
     if model.actuator_biastype[number] != int(mujoco.mjtBias.mjBIAS_AFFINE) or gain[0] != -bias[1]:
         what = "the actuator is no position servo; vary gainprm.0 and biasprm.0, .1, .2 instead"
@@ -345,17 +350,17 @@ def _servo(model: mujoco.MjModel, path: str, word: str, number: int) -> tuple[Nu
         NumberLocation(field, number * field_values(model, field)[0].size + k, sign)
         for field, k, sign in SERVO_WORDS[word]
     ]
-    return NumberSpec("", 0.0, field=places[0].field), places
+    return FieldSpec("", 0.0, field=places[0].field), places
 
 
-def _strength(model: mujoco.MjModel, number: int) -> tuple[NumberSpec, list[NumberLocation]]:
+def _strength(model: mujoco.MjModel, number: int) -> tuple[FieldSpec, list[NumberLocation]]:
     """Gain, bias and limit of force of an actuator, all of which its strength multiplies."""
     width, gains = model.actuator_gainprm.shape[1], range(3)  # of a fixed or affine law
     places = [
         NumberLocation(field, width * number + k) for field in ("actuator_gainprm", "actuator_biasprm") for k in gains
     ]
     places += [NumberLocation("actuator_forcerange", 2 * number + k) for k in range(2)]
-    return NumberSpec("", 0.0, field="actuator_gainprm", is_factor=True), places
+    return FieldSpec("", 0.0, field="actuator_gainprm", is_factor=True), places
 
 
 def is_group(path: str) -> bool:

@@ -23,10 +23,10 @@ import numpy as np
 
 from sweep.backends.binary import model_bytes
 from sweep.core import project
-from sweep.core.errors import USER_CODE_ERRORS, InputError, format_user_exception, suggest
+from sweep.core.errors import USER_CODE_ERRORS, InputError, format_name_suggestion, format_user_exception
 from sweep.core.user_code import describe_user_error, report_slow_call, run_user_code
 from sweep.systems.mujoco_model import learned_policy, onnx_network, policy_spec, torch_network
-from sweep.systems.mujoco_model.actuation import JointControl
+from sweep.systems.mujoco_model.actuation import JointPdControl
 from sweep.systems.mujoco_model.onnx_network import Network
 from sweep.systems.mujoco_model.terrain import TerrainConfig, replace_floor, require_level_floor
 from sweep.systems.mujoco_model.torch_network import TORCH_SUFFIXES
@@ -65,7 +65,7 @@ class LoadedController(NamedTuple):
     fitted_policy: learned_policy.LearnedPolicy | None = None  # of a network with a specification beside it
 
     @property
-    def joint_control(self) -> JointControl | None:
+    def joint_control(self) -> JointPdControl | None:
         """Law that turns joint targets into controls at every physics step; None if commands are controls."""
         return self.fitted_policy.joint_control if self.fitted_policy else None
 
@@ -99,14 +99,14 @@ def require_file(key: str, name: str, suffix: str, group: str = "model") -> Path
     file = project_folder() / name
     if not name or not file.is_file():
         near = [str(f.relative_to(project_folder())) for f in sorted(project_folder().glob(f"**/*{suffix}"))[:50]]
-        raise InputError(f"{group}.{key} = {name!r} is not a file{suggest(name, near) if near else ''}")
+        raise InputError(f"{group}.{key} = {name!r} is not a file{format_name_suggestion(name, near) if near else ''}")
     _refuse_results(f"{group}.{key}", name, [file])
     return file
 
 
 def _refuse_results(key: str, name: str, found: Iterable[Path]) -> None:
     """Refuse files of a folder of results or of a crate, which may come from a stranger. Raises `InputError`."""
-    if around := next(filter(None, map(project.find_results_around, found)), None):
+    if around := next(filter(None, map(project.find_enclosing_results, found)), None):
         raise InputError(
             f"{key} = {name} is not allowed: it lies in {around}, which holds results, perhaps of a stranger; to "
             "trust it, copy it into your project"
@@ -156,7 +156,7 @@ def _compiled(file: Path, changed: int, ground: TerrainConfig | None, fields: in
         reason, near = " ".join(str(error).split()), ""
         if lost := re.search(r"opening file '(?:.*/)?([^/']+)'", reason):
             there = {one.name for one in project_folder().rglob(f"*{Path(lost[1]).suffix}")}
-            near = suggest(lost[1], there) if there else ""
+            near = format_name_suggestion(lost[1], there) if there else ""
         raise InputError(f"model.mjcf = {file.name} does not compile: {reason}{near}") from None
     if ground:
         require_level_floor(made)
@@ -237,7 +237,7 @@ def read_terrain_image(name: str) -> np.ndarray:
     return pixels
 
 
-def digest_contents(listed: Sequence[Path]) -> str:
+def digest_file_contents(listed: Sequence[Path]) -> str:
     """Return a hash of the contents of the given files."""
     return _digest(listed)
 
@@ -266,14 +266,14 @@ def load_controller(name: str, model: mujoco.MjModel, keyframe: int, period: flo
     module = _module(name, module_name)
     if not callable(policy := getattr(module, function, None)):
         own = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
-        raise InputError(f"model.controller = {name}: {function} is unknown{suggest(function, own)}")
+        raise InputError(f"model.controller = {name}: {function} is unknown{format_name_suggestion(function, own)}")
     named = [str(file) for file in getattr(module, "FILES", ())]
-    folder = code_folder(Path(str(module.__file__)), named)
+    folder = resolve_module_folder(Path(str(module.__file__)), named)
     files = [folder / file for file in named]
     for file in files:
         if not file.is_file():
             raise InputError(f"model.controller = {name}: FILES has {file.name}, which is not a file")
-    files, more = (*project.source_files(module), *files), {"folder": folder, **_beside(name, module)}
+    files, more = (*project.module_source_files(module), *files), {"folder": folder, **_beside(name, module)}
     if batched := _batched(policy):
         return LoadedController(policy, files, _digest(files), batched, **more)
     parameters, believes = (getattr(module, key, {}) for key in ("PARAMETERS", "BELIEVES"))
@@ -288,13 +288,13 @@ def controller_files(name: str) -> list[Path]:
     if not name.endswith(NETWORK_SUFFIXES):
         module = _module(name, name.partition(":")[0])
         named = [str(file) for file in getattr(module, "FILES", ())]
-        folder = code_folder(Path(str(module.__file__)), named)
-        return [*project.source_files(module), *(folder / file for file in named)]
+        folder = resolve_module_folder(Path(str(module.__file__)), named)
+        return [*project.module_source_files(module), *(folder / file for file in named)]
     file = _require_network(name)
     found = list_network_files(file)
     found += [told] if (told := learned_policy.spec_path(file)).is_file() else []
     if file.with_suffix(".py").is_file():
-        found += project.source_files(_module(name, ".".join(Path(name).with_suffix("").parts)))
+        found += project.module_source_files(_module(name, ".".join(Path(name).with_suffix("").parts)))
     return found
 
 
@@ -316,14 +316,14 @@ def _load_network(name: str, model: mujoco.MjModel, keyframe: int, period: float
     if spec := read_policy_spec(name):
         told = learned_policy.spec_path(file)
         files = [*files, told]
-        learned = learned_policy.fit_policy(told.name, spec, network, model, keyframe, period)
+        learned = learned_policy.bind_policy_to_model(told.name, spec, network, model, keyframe, period)
         found = LoadedController(learned.policy, (), "", is_batched=False, begin=learned.begin, observe=learned.observe,
                                  parameters=spec.commands, fitted_policy=learned)  # fmt: skip
     else:
         found = LoadedController(onnx_network.make_stateless_policy(network), (), "", is_batched=False)
     digest = _digest(files)
     if file.with_suffix(".py").is_file():
-        beside = project.source_files(module := _module(name, ".".join(Path(name).with_suffix("").parts)))
+        beside = project.module_source_files(module := _module(name, ".".join(Path(name).with_suffix("").parts)))
         said = _beside(name, module)
         if learned and said.pop("observe"):
             told = learned_policy.spec_path(file).name
@@ -381,7 +381,7 @@ def _module(controller: str, name: str) -> ModuleType:
     if (
         old
         and read
-        and read != (here, _digest(project.source_files(old)))
+        and read != (here, _digest(project.module_source_files(old)))
         and read[0] in Path(old.__file__ or "").parents
     ):
         package = name.partition(".")[0]
@@ -392,7 +392,7 @@ def _module(controller: str, name: str) -> ModuleType:
     try:
         with run_user_code(f"{name}, which is imported,", _folder_of_module(name)):
             module = importlib.import_module(name)
-        _READ[name] = here, _digest(project.source_files(module))
+        _READ[name] = here, _digest(project.module_source_files(module))
     except USER_CODE_ERRORS as error:
         reason = describe_user_error(error, here) or format_user_exception(error)
         raise InputError(f"model.controller = {controller} cannot be imported: {reason}") from None
@@ -404,7 +404,7 @@ def _module(controller: str, name: str) -> ModuleType:
     return module
 
 
-def code_folder(source: Path, file_names: Sequence[str]) -> Path:
+def resolve_module_folder(source: Path, file_names: Sequence[str]) -> Path:
     """Return the folder for relative paths in a user's module: its own if its `FILES` are there, else the project's."""
     beside = source.resolve().parent
     return (
@@ -413,7 +413,7 @@ def code_folder(source: Path, file_names: Sequence[str]) -> Path:
 
 
 def _folder_of_module(name: str) -> Path:
-    """`code_folder` of a module that is not imported yet, by what its source says of `FILES`."""
+    """`resolve_module_folder` of a module that is not imported yet, by what its source says of `FILES`."""
     source = project_folder() / Path(*name.split(".")).with_suffix(".py")
     if not source.is_file():
         source = project_folder().joinpath(*name.split("."), "__init__.py")
@@ -422,7 +422,7 @@ def _folder_of_module(name: str) -> Path:
         for node in ast.parse(source.read_text(encoding="utf-8")).body:
             if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "FILES":
                 named = [str(one) for one in ast.literal_eval(node.value)]
-    return code_folder(source, named)
+    return resolve_module_folder(source, named)
 
 
 def _batched(policy: Callable[..., Any]) -> bool:

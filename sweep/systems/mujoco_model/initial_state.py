@@ -83,7 +83,7 @@ def _multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     )
 
 
-def start_parameters(model: mujoco.MjModel, has_base: bool) -> dict[str, Parameter]:
+def default_parameters(model: mujoco.MjModel, has_base: bool) -> dict[str, Parameter]:
     """Return the parameters of the initial state, such as offsets of joints, with default values, by path.
 
     Args:
@@ -108,7 +108,7 @@ def make_offsets(model: mujoco.MjModel, values: Mapping[str, Any], luck: np.ndar
 
     Args:
         model: The model.
-        values: Numbers by path, see `start_parameters`; each a number, or an array (n,).
+        values: Numbers by path, see `default_parameters`; each a number, or an array (n,).
         luck: Even random numbers from -1 to 1, (n, k): see `count_random_numbers`.
     """
     n, joints = len(luck), hinge_and_slide_joints(model)

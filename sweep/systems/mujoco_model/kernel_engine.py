@@ -32,24 +32,24 @@ from sweep.systems.mujoco_model.engine import (
     ModelEngine,
     NativeModelEngine,
     TickSample,
-    print_note,
+    print_note_once,
 )
 from sweep.systems.mujoco_model.kernel import agreement, guard, sensors
 from sweep.systems.mujoco_model.kernel.layout import find_layout, find_stack_of_body, unsupported_model_error
-from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
-from sweep.systems.mujoco_model.kernel.scalars import Scalar, Vector, flatten_scalars, stack_values
-from sweep.systems.mujoco_model.kernel.smooth import compute_smooth
+from sweep.systems.mujoco_model.kernel.numbers import ModelFieldValues
+from sweep.systems.mujoco_model.kernel.scalars import Scalar, Vector, flatten_scalars, stack_scalars
+from sweep.systems.mujoco_model.kernel.smooth import compute_smooth_terms
 from sweep.systems.mujoco_model.kernel.step import (
     BodyPush,
     StepResult,
     compute_forces,
+    compute_forward_dynamics,
     read_state,
-    solve_forward,
     step,
     write_state,
 )
 from sweep.systems.mujoco_model.kernel.variation import find_varied_elements
-from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
+from sweep.systems.mujoco_model.model_spec import ModelSpec, ParameterOverrides
 from sweep.systems.mujoco_model.policy import ControllerBatch
 
 LEAST_ITERATIONS = 30  # of Newton's method, at most: models for MJX often have one, which solves no step
@@ -62,7 +62,7 @@ FORCED = {
 Rows = Any  # an array of one rollout, or of a batch with a leading axis
 
 
-class Inputs(NamedTuple):
+class KernelInputs(NamedTuple):
     """Inputs of one rollout to the compiled kernel that stay constant over all ticks."""
 
     policy: Any  # inputs of the controller; () where it is called between ticks
@@ -71,7 +71,7 @@ class Inputs(NamedTuple):
     acting: disturbances.Disturbances  # without the axis of rollouts
 
 
-class Carry(NamedTuple):
+class KernelCarry(NamedTuple):
     """State of one rollout (physics, controller, metrics) that the kernel carries from tick to tick."""
 
     qpos: Rows
@@ -115,7 +115,7 @@ class KernelModelEngine(ModelEngine):
         self._is_inside = not (spec.controller.is_batched or spec.controller.fitted_policy)
         self._iterations = max(int(model.opt.iterations), LEAST_ITERATIONS)
         self._read_sensors = self._find_read_sensors()
-        self._watched = guard.find_unsimulated_pairs(self._layout, model)
+        self._watched = guard.find_unsimulated_geom_pairs(self._layout, model)
         self._programs_by_form: dict[Any, Any] = {}
         self._first, self._enter, self._finish = self._programs.compile_for_batches()
 
@@ -131,30 +131,30 @@ class KernelModelEngine(ModelEngine):
             raise unsupported_model_error(f"the sensor {model.sensor(k).name or k}: {unknown[k]}")
         return read
 
-    def check_varied(self, paths: Iterable[str]) -> Iterable[str]:
+    def check_varied_parameters(self, paths: Iterable[str]) -> Iterable[str]:
         """Raise `InputError` if a study varies a number of the model that the kernel does not read."""
-        numbers = ModelNumbers(self._model, {}, {})
+        numbers = ModelFieldValues(self._model, {}, {})
         jax.eval_shape(partial(self._read_numbers, numbers))
         for path in paths:
-            for place in fields.locate_numbers(self._model, path)[1]:
+            for place in fields.resolve_parameter_path(self._model, path)[1]:
                 ground = place.field.startswith("body_pos") and not self._model.body_weldid[place.flat_index // 3]
                 if place.field not in numbers.read or ground:
                     raise unsupported_model_error(f"{path} that differs between rollouts")
         return ()
 
-    def _read_numbers(self, numbers: ModelNumbers) -> None:
+    def _read_numbers(self, numbers: ModelFieldValues) -> None:
         """Trace a forward pass, which reads all numbers of the model that the kernel uses."""
         model = self._model
         qpos, qvel, warm, ctrl = (jnp.zeros(size) for size in (model.nq, model.nv, model.nv, model.nu))
         state = read_state(self._layout, model, qpos, qvel, warm)
-        result, _ = solve_forward(self._layout, numbers, state, ctrl, (), 0)  # the solver reads none
+        result, _ = compute_forward_dynamics(self._layout, numbers, state, ctrl, (), 0)  # the solver reads none
         sensors.compute_sensors(self._layout, numbers, state, result)
 
     @cached_property
-    def c_mujoco_agreement(self) -> agreement.Agreement:
+    def c_mujoco_agreement(self) -> agreement.AccelerationAgreement:
         """Differences between the kernel's and C MuJoCo's accelerations in random states, computed once and cached."""
 
-        def compare() -> tuple[agreement.Agreement]:
+        def compare() -> tuple[agreement.AccelerationAgreement]:
             return (agreement.compare_accelerations(self._layout, self._model, self._spec.keyframe_index),)
 
         key = "agreement", *self._stored_with()
@@ -166,7 +166,9 @@ class KernelModelEngine(ModelEngine):
         parts = spec.pushes, spec.payloads, spec.motors, spec.schedules
         return repr(spec.config), spec.delay_buffer, spec.action_buffer, *parts, self._settings.precision
 
-    def _tick(self, varied: Any, inputs: Inputs, carry: Carry, number: Array) -> tuple[Carry, dict[str, Array]]:
+    def _tick(
+        self, varied: Any, inputs: KernelInputs, carry: KernelCarry, number: Array
+    ) -> tuple[KernelCarry, dict[str, Array]]:
         """One control tick of one rollout, whose model has numbers of its own where `varied` says so."""
         if self._is_inside:
             command, controller = self._programs.tick_controller(inputs.policy, carry.controller, carry.observable)
@@ -185,7 +187,7 @@ class KernelModelEngine(ModelEngine):
             commands = before + shares[:, None] * (command - before)
             delayed, kept = disturbances.delay_commands(past[None], commands[None], acting.delay)
             late, extra["past"] = delayed[0], kept[0]
-        numbers = ModelNumbers(self._model, inputs.rows, varied)
+        numbers = ModelFieldValues(self._model, inputs.rows, varied)
         needs_native = carry.needs_native
         state, rebuild = flatten_scalars(read_state(self._layout, self._model, carry.qpos, carry.qvel, carry.warm))
         first_step = carry.tick * len(self._shares)
@@ -224,12 +226,12 @@ class KernelModelEngine(ModelEngine):
             sensed = self._current_sensors(numbers, qpos, qvel, warm, controls)
         if self._watched:
             state = read_state(self._layout, self._model, qpos, qvel, warm)
-            smooth = compute_smooth(self._layout, numbers, state)
+            smooth = compute_smooth_terms(self._layout, numbers, state)
             needs_native = needs_native | going & guard.has_near_pair(
                 self._layout, numbers, state, smooth, self._watched
             )
         observable = jnp.concatenate([qpos, qvel, sensed])
-        new = Carry(qpos, qvel, warm, metrics, controller, command, observable, force, extra, command,
+        new = KernelCarry(qpos, qvel, warm, metrics, controller, command, observable, force, extra, command,
                     carry.tick + 1, carry.ticks, wrong, needs_native, carry.tick + 1 >= carry.ticks)  # fmt: skip
         return new, {"ctrl": command, "qpos": qpos, "qvel": qvel, "force": force}
 
@@ -265,7 +267,7 @@ class KernelModelEngine(ModelEngine):
         for body in self._spec.pushed_bodies:
             stack, member = find_stack_of_body(self._layout, int(body))
             centre = state.position + result.smooth.places[stack].centre
-            rows.append(stack_values([*centre.member(member)], state.position.x.value.dtype))
+            rows.append(stack_scalars([*centre.stack_member(member)], state.position.x.value.dtype))
         return jnp.stack(rows)
 
     def _record(self, numbers: Any, state: Any, result: StepResult, qpos: Array, qvel: Array) -> dict[str, Array]:
@@ -275,7 +277,7 @@ class KernelModelEngine(ModelEngine):
         for drive in result.drives:
             for k, number in enumerate(drive.actuators):
                 for found, one in ((force, drive.force), (velocity, drive.velocity)):
-                    found[number] = one.member(k)
+                    found[number] = one.stack_member(k)
         sensed = sensors.compute_sensors(self._layout, numbers, state, result)
         sites = [[Scalar(0.0)] * 3 for _ in range(model.nsite)]
         for number in self._foot_sites:
@@ -284,7 +286,7 @@ class KernelModelEngine(ModelEngine):
         flat = [one for row in sites for one in row]
 
         def join(values: list[Scalar]) -> Array:
-            return stack_values(values, dtype) if values else jnp.zeros(0, dtype)
+            return stack_scalars(values, dtype) if values else jnp.zeros(0, dtype)
 
         found = {"qpos": qpos, "qvel": qvel, "actuator_force": join(force), "actuator_velocity": join(velocity),
                  "sensordata": join(sensed), "site_xpos": join(flat).reshape(model.nsite, 3)}  # fmt: skip
@@ -298,16 +300,16 @@ class KernelModelEngine(ModelEngine):
         """Sensors of a state by MuJoCo's forward pass."""
         state = read_state(self._layout, self._model, qpos, qvel, warm)
         if any(int(self._model.sensor_type[k]) in FORCED for k in self._read_sensors):
-            result, _ = solve_forward(self._layout, numbers, state, controls, (), self._iterations)
+            result, _ = compute_forward_dynamics(self._layout, numbers, state, controls, (), self._iterations)
         else:
-            smooth = compute_smooth(self._layout, numbers, state)
+            smooth = compute_smooth_terms(self._layout, numbers, state)
             drives = compute_forces(self._layout, numbers, state, smooth, controls, ())[2]
             nothing: Any = None
             result = StepResult(smooth, nothing, nothing, drives, nothing)
         found = sensors.compute_sensors(self._layout, numbers, state, result, self._read_sensors)
-        return stack_values(found, qpos.dtype) if found else jnp.zeros(0, qpos.dtype)
+        return stack_scalars(found, qpos.dtype) if found else jnp.zeros(0, qpos.dtype)
 
-    def _start(self, world: SideValues, belief: SideValues, streams: np.ndarray) -> tuple[Any, ...]:
+    def _start(self, world: ParameterOverrides, belief: ParameterOverrides, streams: np.ndarray) -> tuple[Any, ...]:
         """Start a batch.
 
         Returns:
@@ -315,10 +317,10 @@ class KernelModelEngine(ModelEngine):
             control ticks (n,), and energy (n,) in J.
         """
         spec, n, number = self._spec, len(streams), np.dtype(self._settings.precision).type
-        begun = batch.start_batch(spec, self._settings, world, belief, streams)
+        begun = batch.make_initial_batch(spec, self._settings, world, belief, streams)
         outside = None if self._is_inside else ControllerBatch(self._programs, begun.policy_inputs, n)
         if outside is None:
-            start, state, duration = self._programs.call_compiled(self._first, begun.policy_inputs)
+            start, state, duration = self._programs.call_compiled_program(self._first, begun.policy_inputs)
         else:
             start, state, duration = outside.start, (), outside.duration
         at_first = begun.set_initial_state(start)
@@ -328,7 +330,9 @@ class KernelModelEngine(ModelEngine):
             outside.begin_rollouts(spec.observable_state(begun.qpos, begun.qvel, begun.sensors), ticks)
             controller = ()
         else:
-            controller = self._programs.call_compiled(self._enter, begun.policy_inputs, state, observable, ticks)
+            controller = self._programs.call_compiled_program(
+                self._enter, begun.policy_inputs, state, observable, ticks
+            )
         model, qpos, qvel = self._model, number(begun.qpos), number(begun.qvel)
         zeros = partial(np.zeros, dtype=number)
         extra = {}
@@ -337,7 +341,7 @@ class KernelModelEngine(ModelEngine):
         if pushed := len(spec.pushed_bodies):
             extra |= {"wrench": zeros((n, pushed, 3)), "places": zeros((n, 2, pushed, 3))}
         metrics = jax.tree.map(np.asarray, self._meter.start(qpos, qvel))
-        carry = Carry(qpos, qvel, zeros((n, model.nv)), metrics, jax.tree.map(_copy_to_host, controller),
+        carry = KernelCarry(qpos, qvel, zeros((n, model.nv)), metrics, jax.tree.map(_copy_to_host, controller),
                       zeros((n, model.nu)), observable, zeros((n, model.nu)), extra, zeros((n, model.nu)),
                       np.zeros(n, np.int32), ticks, *(np.zeros(n, bool) for _ in range(3)))  # fmt: skip
         varied = self._find_varied(world)
@@ -346,20 +350,20 @@ class KernelModelEngine(ModelEngine):
         }
         acting = jax.tree.map(lambda one: one if one.dtype.kind == "i" else number(one), begun.acting)
         limits = {name: number(one) for name, one in begun.limits.items()}
-        inputs = Inputs(begun.policy_inputs if self._is_inside else (), rows, limits, acting)
+        inputs = KernelInputs(begun.policy_inputs if self._is_inside else (), rows, limits, acting)
         return begun, outside, varied, inputs, carry, ticks, at_first
 
-    def _find_varied(self, world: SideValues) -> dict[str, np.ndarray]:
-        paths = fields.select_quantities(self._model, self._spec.model_values(world))
+    def _find_varied(self, world: ParameterOverrides) -> dict[str, np.ndarray]:
+        paths = fields.select_batchable_values(self._model, self._spec.select_model_values(world))
         return find_varied_elements(self._model, paths, self._spec.payloads)
 
-    def _compile(self, varied: Any, inputs: Inputs, carry: Carry, n: int, ticks: int, room: int) -> Any:
+    def _compile(self, varied: Any, inputs: KernelInputs, carry: KernelCarry, n: int, ticks: int, room: int) -> Any:
         """Compile the kernel for batches of a form: `Kernel` on a CPU, `Ptx` on a GPU."""
         shapes = of_inputs, of_carry = tuple(
             jax.tree.map(lambda one: jax.ShapeDtypeStruct(one.shape[1:], one.dtype), tree) for tree in (inputs, carry)
         )
         on_cpu = jax.default_backend() == "cpu"
-        lanes = kernel.choose_lanes(n, devices.count_cores()) if on_cpu else 0
+        lanes = kernel.choose_lane_count(n, devices.count_cores()) if on_cpu else 0
         form = jax.tree.structure(shapes), [(x.shape, str(x.dtype)) for x in jax.tree.leaves(shapes)]
         marks = [(name, np.packbits(mask).tobytes()) for name, mask in sorted(varied.items())]
         key = repr((form, marks, lanes, None if on_cpu else (n, ticks, room)))
@@ -387,12 +391,17 @@ class KernelModelEngine(ModelEngine):
 
     @devices.convert_memory_errors()
     def _simulate(
-        self, world: SideValues, belief: SideValues, streams: np.ndarray, slots: Any = (), every: int = 1
+        self,
+        world: ParameterOverrides,
+        belief: ParameterOverrides,
+        streams: np.ndarray,
+        slots: Any = (),
+        every: int = 1,
     ) -> BatchResult:
         slots = np.asarray(list(slots), int)
         if self._settings.cross_check:
-            self.c_mujoco_agreement.require(self._spec.config.mjcf)
-            print_note(f"kernel: {self.c_mujoco_agreement}")
+            self.c_mujoco_agreement.require_within_tolerance(self._spec.config.mjcf)
+            print_note_once(f"kernel: {self.c_mujoco_agreement}")
         with self._within():
             begun, outside, varied, inputs, carry, ticks, at_first = self._start(world, belief, streams)
             longest = int(ticks.max(initial=0))
@@ -403,18 +412,20 @@ class KernelModelEngine(ModelEngine):
             for first in range(0, longest, chunk):
                 count = min(chunk, longest - first)
                 if outside is not None:
-                    running.command(outside.next_controls(running.observable()))
-                record = running.advance(first, count)
+                    running.set_commands(outside.next_controls(running.read_observables()))
+                record = running.simulate_ticks(first, count)
                 for k in range(count) if len(slots) else ():
                     if (first + k + 1) % every == 0:
                         parts = (np.asarray(record[name][k], float) for name in ("ctrl", "qpos", "qvel", "force"))
-                        policy = outside.read_policy(slots) if outside else np.zeros((len(slots), 0))
+                        policy = outside.read_observations_and_actions(slots) if outside else np.zeros((len(slots), 0))
                         time = (first + k + 1) * self._spec.config.period
                         frames.append(TickSample(time, *parts, policy=policy))
-            end = running.finish()
+            end = running.read_final_carry()
             observable = np.asarray(end.observable)
             if outside is None:
-                measured = self._programs.call_compiled(self._finish, begun.policy_inputs, end.controller, observable)
+                measured = self._programs.call_compiled_program(
+                    self._finish, begun.policy_inputs, end.controller, observable
+                )
                 measured = {name: np.asarray(values, float) for name, values in measured.items()}
             else:
                 measured = outside.finish(np.asarray(observable, float))
@@ -426,7 +437,7 @@ class KernelModelEngine(ModelEngine):
         needs_native = np.flatnonzero(np.asarray(end.needs_native))
         found[ON_NATIVE] = np.asarray(end.needs_native, float)
         if len(needs_native):
-            print_note(
+            print_note_once(
                 "kernel: rollouts with a contact that the kernel does not simulate, or with an unsolved step, are "
                 f"simulated again by native: their column {ON_NATIVE} is 1"
             )
@@ -437,7 +448,10 @@ class KernelModelEngine(ModelEngine):
         self, sides: Any, streams: np.ndarray, chosen: np.ndarray, found: Metrics, slots: Any, every: int, frames: Any
     ) -> None:
         """Simulate some rollouts on C MuJoCo, and write what it finds over what the kernel found."""
-        rows = [SideValues(tuple((path, x[chosen] if np.ndim(x) else x) for path, x in side.values)) for side in sides]
+        rows = [
+            ParameterOverrides(tuple((path, x[chosen] if np.ndim(x) else x) for path, x in side.values))
+            for side in sides
+        ]
         both = [k for k, slot in enumerate(slots) if slot in chosen]
         places = [int(np.flatnonzero(chosen == slots[k])[0]) for k in both]
         again, samples, _ = self._native._simulate(rows[0], rows[1], streams[chosen], places, every)
@@ -456,50 +470,50 @@ class KernelModelEngine(ModelEngine):
 class _CpuRunner:
     """A batch in the memory of a CPU kernel."""
 
-    def __init__(self, make: Callable[..., Any], inputs: Inputs, carry: Carry, n: int, slots: np.ndarray):
+    def __init__(self, make: Callable[..., Any], inputs: KernelInputs, carry: KernelCarry, n: int, slots: np.ndarray):
         self._tiles = make(inputs, carry, n, TICKS_PER_CALL, 0).load_batch(inputs, carry, n)
         self._slots = slots if len(slots) else None
 
-    def command(self, commands: np.ndarray) -> None:
+    def set_commands(self, commands: np.ndarray) -> None:
         """Set the commands (n, nu) of the next tick."""
         self._tiles.replace(lambda carry: carry.command, commands)
 
-    def observable(self) -> np.ndarray:
+    def read_observables(self) -> np.ndarray:
         """What controllers observe (n, s)."""
         return self._tiles.read(lambda carry: carry.observable)
 
-    def advance(self, first: int, count: int) -> Any:
+    def simulate_ticks(self, first: int, count: int) -> Any:
         """Simulate ticks; return what is recorded of the chosen rollouts, (ticks, slots, ...) by name."""
         return self._tiles.advance(first, count, self._slots)
 
-    def finish(self) -> Carry:
+    def read_final_carry(self) -> KernelCarry:
         """Return the carry at the end, (n, ...)."""
-        return self._tiles.read_all()
+        return self._tiles.read_full_state()
 
 
 class _GpuRunner:
     """A batch in the memory of a GPU."""
 
-    def __init__(self, make: Callable[..., Any], inputs: Inputs, carry: Carry, n: int, slots: np.ndarray):
+    def __init__(self, make: Callable[..., Any], inputs: KernelInputs, carry: KernelCarry, n: int, slots: np.ndarray):
         self._make, self._n, self._slots = make, n, jnp.asarray(slots, jnp.int32) if len(slots) else None
         self._inputs, self._carry = jax.device_put((inputs, carry))
         self._calls: dict[int, Any] = {}
 
-    def command(self, commands: np.ndarray) -> None:
+    def set_commands(self, commands: np.ndarray) -> None:
         """Set the commands (n, nu) of the next tick."""
         self._carry = self._carry._replace(command=jnp.asarray(commands, self._carry.command.dtype))
 
-    def observable(self) -> np.ndarray:
+    def read_observables(self) -> np.ndarray:
         """What controllers observe (n, s)."""
         return np.asarray(self._carry.observable)
 
-    def advance(self, first: int, count: int) -> Any:
+    def simulate_ticks(self, first: int, count: int) -> Any:
         """Simulate ticks; return what is recorded of the chosen rollouts, (ticks, slots, ...) by name."""
         if count not in self._calls:
             room = 0 if self._slots is None else len(self._slots)
             code = self._make(self._inputs, self._carry, self._n, count, room)
 
-            def call(inputs: Inputs, carry: Carry, first: Array, slots: Any) -> Any:
+            def call(inputs: KernelInputs, carry: KernelCarry, first: Array, slots: Any) -> Any:
                 return launch.run_kernel(code, inputs, carry, first, slots)
 
             self._calls[count] = jax.jit(call, donate_argnums=1, compiler_options=launch.XLA_OPTIONS)
@@ -507,6 +521,6 @@ class _GpuRunner:
         self._carry, record = self._calls[count](self._inputs, self._carry, first, self._slots)
         return jax.tree.map(np.asarray, record)
 
-    def finish(self) -> Carry:
+    def read_final_carry(self) -> KernelCarry:
         """Return the carry at the end, (n, ...)."""
         return jax.tree.map(_copy_to_host, self._carry)

@@ -16,7 +16,7 @@ from sweep.core.project import read_yaml
 from sweep.core.rotations import conjugate, rotate
 from sweep.systems.mujoco_model import actuation, policy_spec
 from sweep.systems.mujoco_model.onnx_network import Network
-from sweep.systems.mujoco_model.policy_spec import ActionSpec, PolicySpec, RecurrentSpec, TermSpec
+from sweep.systems.mujoco_model.policy_spec import ActionSpec, ObservationTermSpec, PolicySpec, RecurrentSpec
 
 TERM_SIZES = {"projected_gravity": 3, "base_linear_velocity": 3, "base_angular_velocity": 3, "base_height": 1,
          "base_orientation": 4}  # fmt: skip
@@ -27,7 +27,7 @@ FREE_JOINT = int(mujoco.mjtJoint.mjJNT_FREE)
 class ObservationTerm(NamedTuple):
     """One term of a neural policy's observation, such as joint positions, with size and scale for a model."""
 
-    spec: TermSpec
+    spec: ObservationTermSpec
     size: int
     unit: str
     history: int  # ticks
@@ -47,10 +47,10 @@ class LearnedPolicy(NamedTuple):
     observe: Callable[..., Any]
     policy: Callable[..., Any]
     actuators: np.ndarray  # (k,) index of the actuator of each joint
-    joint_control: actuation.JointControl | None  # None where controls are constant over a tick
+    joint_control: actuation.JointPdControl | None  # None where controls are constant over a tick
     assemble: Callable[..., Any]  # (belief, observation, state) -> numbers of each input, by name, and the next state
 
-    def split_terms(self, numbers: Mapping[str, Any]) -> dict[str, list[tuple[str, str, np.ndarray]]]:
+    def split_inputs_into_terms(self, numbers: Mapping[str, Any]) -> dict[str, list[tuple[str, str, np.ndarray]]]:
         """Split each network input into observation terms with names, units and numbers of the latest tick.
 
         Args:
@@ -97,7 +97,7 @@ class LearnedPolicy(NamedTuple):
         return tuple(map(str, range(term.size))) if term.size > 1 else ("",)
 
     @staticmethod
-    def record(state: Mapping[str, Any]) -> tuple[Any, Any]:
+    def latest_observation_and_action(state: Mapping[str, Any]) -> tuple[Any, Any]:
         """Return the latest observation (..., k) and action (..., joints) from states of the policy after a tick."""
         return state["seen"], state["action"]
 
@@ -124,7 +124,7 @@ def read_spec(file: Path, metadata: Mapping[str, str]) -> PolicySpec:
     return policy_spec.parse_policy(file.name, read_yaml(file, file.name) or {}, metadata)
 
 
-def fit_policy(
+def bind_policy_to_model(
     error_prefix: str, spec: PolicySpec, network: Network, model: mujoco.MjModel, keyframe: int, period: float
 ) -> LearnedPolicy:
     """Prepare a neural policy for a model: look up joints and sensors by name, and check all sizes.
@@ -147,7 +147,8 @@ def fit_policy(
     pose = model.key_qpos[keyframe] if keyframe >= 0 else model.qpos0
     places = np.array([model.jnt_qposadr[model.joint(one).id] for one in joints], int)
     default = (pose[places] if spec.default_pose is None
-               else policy_spec.joint_values(f"{error_prefix}: default_pose", spec.default_pose, joints))  # fmt: skip
+               else policy_spec.parse_joint_values(
+                   f"{error_prefix}: default_pose", spec.default_pose, joints))  # fmt: skip
     defaults = dict(zip(joints, default, strict=True))
     inputs = _fit_inputs(error_prefix, spec, network, model, joints)
     output = _action_output(error_prefix, spec, network)
@@ -295,14 +296,14 @@ def _fit_inputs(
 
 
 def _fit_term(
-    error_prefix: str, one: TermSpec, spec: PolicySpec, model: mujoco.MjModel, joints: list[str], at: int
+    error_prefix: str, one: ObservationTermSpec, spec: PolicySpec, model: mujoco.MjModel, joints: list[str], at: int
 ) -> ObservationTerm:
     """Fit a term whose numbers, if they are measured, begin at the place `at`. Raises `InputError`."""
     error_prefix = f"{error_prefix}: {one.label}"
     sensors = {name: k for k in range(model.nsensor) if (name := model.sensor(k).name)}
     instead = next((name for name in spec.sensors.get(one.term, "").split() if name in sensors), "")
     if not one.sensor and instead:
-        one = TermSpec(**{**vars(one), "sensor": instead, "name": one.label})
+        one = ObservationTermSpec(**{**vars(one), "sensor": instead, "name": one.label})
     if one.sensor:
         require_choice(one.sensor, sensors, f"{error_prefix}: sensor {one.sensor}")
         size = int(model.sensor_dim[sensors[one.sensor]])
@@ -416,7 +417,8 @@ def _fit_distribution(
         way = "; without them leave sample out, which runs the mean action"
         raise InputError(f"{error_prefix}: action.sample = true {needs}{way}")
     fixed = (None if spec.deviation is None
-             else policy_spec.joint_values(f"{error_prefix}: action.deviation", spec.deviation, joints))  # fmt: skip
+             else policy_spec.parse_joint_values(
+                 f"{error_prefix}: action.deviation", spec.deviation, joints))  # fmt: skip
 
     def draw(mean: Any, found: Mapping[str, Any], key: Any) -> Any:
         size = fixed if fixed is not None else jnp.exp(found[spec.deviation_output].reshape(-1))
@@ -447,10 +449,10 @@ def _action_output(error_prefix: str, spec: PolicySpec, network: Network) -> str
 
 def _fit_action(
     error_prefix: str, spec: ActionSpec, model: mujoco.MjModel, joints: list[str], default: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, actuation.JointControl | None, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, actuation.JointPdControl | None, np.ndarray]:
     """Return scale and offset of the action (k,), the joint controller if there is one, and actuators (k,)."""
     policy_spec.require_clip_range(f"{error_prefix}: action.clip", spec.clip)
-    actuators, numbers = actuation.find_actuators(error_prefix, model, joints), policy_spec.joint_values
+    actuators, numbers = actuation.find_actuators(error_prefix, model, joints), policy_spec.parse_joint_values
     scale = numbers(f"{error_prefix}: action.scale", spec.scale, joints)
     offset = (np.array(default, float) if spec.offset == "default_pose" and spec.actuation != "direct" else
               np.zeros(len(joints)) if spec.offset == "default_pose" else

@@ -34,12 +34,12 @@ from sweep.systems.mujoco_model.engine import (
     ModelEngine,
     TickSample,
     TickStepper,
-    find_unsolved_steps,
-    print_note,
+    find_unconverged_steps,
+    print_note_once,
 )
 from sweep.systems.mujoco_model.geom_pairs import find_geom_pairs
-from sweep.systems.mujoco_model.metrics.unsolved import BALANCE_FIELDS, is_unbalanced
-from sweep.systems.mujoco_model.model_spec import ModelSpec, SideValues
+from sweep.systems.mujoco_model.metrics.unsolved import BALANCE_FIELDS, find_unbalanced_steps
+from sweep.systems.mujoco_model.model_spec import ModelSpec, ParameterOverrides
 from sweep.systems.mujoco_model.tick import STEP_FIELDS
 
 with redirect_stdout(io.StringIO()):  # it prints which of its parts are not installed
@@ -110,7 +110,7 @@ class MjxModelEngine(ModelEngine):
         pairs, geoms = count_geom_pairs(self._model), self._model.ngeom
         size = f"{self._model.nv} degrees of freedom, {pairs} pairs of {geoms} geoms that may touch"
         self._about = f"{spec.config.mjcf} ({size})"
-        self._limited = [] if warp else limited_contact_dims(self._model)
+        self._limited = [] if warp else find_capped_contact_dims(self._model)
         self._compared = False  # with C MuJoCo
         self._placed: dict[Any, tuple[Any, Any]] = {}  # MJX's model and data of a batch's shape
         if spec.controller.is_batched:
@@ -123,7 +123,7 @@ class MjxModelEngine(ModelEngine):
         self._first, self._enter, self._finish = self._programs.compile_for_batches()
         self._ticks = jax.jit(self._run_ticks, donate_argnums=2)
 
-    def known_differences(self) -> Iterator[str]:
+    def describe_differences_from_mujoco(self) -> Iterator[str]:
         """Describe the known differences of MJX from C MuJoCo for this model, a line each."""
         model = self._model
         if model.nplugin:
@@ -175,40 +175,47 @@ class MjxModelEngine(ModelEngine):
             yield
         if said := list(dict.fromkeys(" ".join(str(one.message).split()) for one in caught)):
             more = f" (and {len(said) - 1} more)" if len(said) > 1 else ""
-            print_note(f"{self._settings.name} warns of {self._spec.config.mjcf}: {said[0]}{more}")
+            print_note_once(f"{self._settings.name} warns of {self._spec.config.mjcf}: {said[0]}{more}")
 
     def _refusal(self, why: str, instead: str) -> InputError:
         """One line, of what is to be changed."""
         return InputError(f"engine.name = {self._settings.name} is not allowed: {why} ({instead}or engine=native)")
 
-    def check_varied(self, paths: Iterable[str]) -> Iterable[str]:
+    def check_varied_parameters(self, paths: Iterable[str]) -> Iterable[str]:
         """Raise `InputError` for parameters that MJX cannot vary within a batch; return warnings, one line each."""
         grounds, paths = ([path for path in paths if terrain.is_terrain_path(path) == one] for one in (True, False))
         if grounds and self._impl == "warp":
             raise self._refusal(f"Warp has one terrain for all rollouts, which {grounds[0]} varies", "engine=mjx, ")
-        written = [(path, place.field) for path in paths for place in fields.locate_numbers(self._model, path)[1]]
+        written = [
+            (path, place.field) for path in paths for place in fields.resolve_parameter_path(self._model, path)[1]
+        ]
         template = self._template(
             enable_used_features(self._model, {name: 1.0 for _, name in written if name in PROGRAM_SHAPING_FIELDS})
         )
         for path, name in written:
-            if name in UNUSED_FIELDS[self._impl] or not hasattr(model_leaf(template, name), "at"):
+            if name in UNUSED_FIELDS[self._impl] or not hasattr(find_model_array(template, name), "at"):
                 raise self._refusal(f"MJX has no {name.removeprefix('opt.')}, which {path} varies", "other axes, ")
-        return self.known_differences()
+        return self.describe_differences_from_mujoco()
 
-    def run(self, world: SideValues, belief: SideValues, streams: np.ndarray) -> Metrics:
+    def run(self, world: ParameterOverrides, belief: ParameterOverrides, streams: np.ndarray) -> Metrics:
         """Simulate a batch and return its metrics. The first batch is first compared with C MuJoCo."""
         self._cross_check(world, belief, streams)
         return super().run(world, belief, streams)
 
     def run_with_time_series(
-        self, world: SideValues, belief: SideValues, streams: np.ndarray, slots: np.ndarray, watch: TimeSeriesRequest
+        self,
+        world: ParameterOverrides,
+        belief: ParameterOverrides,
+        streams: np.ndarray,
+        slots: np.ndarray,
+        watch: TimeSeriesRequest,
     ) -> tuple[Metrics, np.ndarray]:
         """Simulate a batch; return metrics and columns over time. The first batch is first compared with C MuJoCo."""
         self._cross_check(world, belief, streams)
         return super().run_with_time_series(world, belief, streams, slots, watch)
 
     @devices.convert_memory_errors()
-    def _cross_check(self, world: SideValues, belief: SideValues, streams: np.ndarray) -> None:
+    def _cross_check(self, world: ParameterOverrides, belief: ParameterOverrides, streams: np.ndarray) -> None:
         """Compare the first control ticks of three rollouts with C MuJoCo; raise `InputError` where they differ.
 
         The rollouts are the nominal one, in the first row's place, and two of the batch. Both engines go through
@@ -219,13 +226,14 @@ class MjxModelEngine(ModelEngine):
         if self._compared or not self._settings.cross_check:
             return
         spec, rows = self._spec, sorted({0, len(streams) // 2, len(streams) - 1})
-        world, belief = (SideValues(tuple((path, self._nominal_first(path, x)) for path, x in one.values))
+        world, belief = (ParameterOverrides(tuple((path, self._nominal_first(path, x)) for path, x in one.values))
                          for one in (world, belief))  # fmt: skip
         few = [
-            SideValues(tuple((path, x[rows] if np.ndim(x) else x) for path, x in one.values)) for one in (world, belief)
+            ParameterOverrides(tuple((path, x[rows] if np.ndim(x) else x) for path, x in one.values))
+            for one in (world, belief)
         ]
         with self._within():
-            reference = batch.start_batch(spec, self._settings, few[0], few[1], streams[rows])
+            reference = batch.make_initial_batch(spec, self._settings, few[0], few[1], streams[rows])
             activation = reference.batch.bind("act")
             _, fixed, carry, _, _ = self._start(world, belief, streams)
             stepper = TickStepper(spec, reference, self._shares)
@@ -238,7 +246,9 @@ class MjxModelEngine(ModelEngine):
                 ctrl = np.asarray(carry["ctrl"], float)[rows]
                 steps = stepper.advance(ctrl)
                 ends = np.asarray(carry["sim_state"]["qvel"], float)[rows], np.asarray(steps["qvel"][:, -1], float)
-                solved = ~find_unsolved_steps(self._model, steps).any(axis=1)  # else the solver's error is what differs
+                solved = ~find_unconverged_steps(self._model, steps).any(
+                    axis=1
+                )  # else the solver's error is what differs
                 self._compare(tick, *(((end - qvel) / spec.config.period)[solved] for end in ends))
         self._compared = True
 
@@ -268,7 +278,12 @@ class MjxModelEngine(ModelEngine):
 
     @devices.convert_memory_errors()
     def _simulate(
-        self, world: SideValues, belief: SideValues, streams: np.ndarray, slots: Any = (), every: int = 1
+        self,
+        world: ParameterOverrides,
+        belief: ParameterOverrides,
+        streams: np.ndarray,
+        slots: Any = (),
+        every: int = 1,
     ) -> BatchResult:
         spec, frames = self._spec, []
         with self._within():
@@ -281,7 +296,9 @@ class MjxModelEngine(ModelEngine):
                     last = carry["ctrl"], carry["sim_state"]["qpos"], carry["sim_state"]["qvel"], carry["force"]
                     states, policy = (np.asarray(x)[slots] for x in last), self._read_policy(carry["carried"], slots)
                     frames.append(TickSample((k + every) * spec.config.period, *states, policy=policy))
-            measured = self._programs.call_compiled(self._finish, policy_inputs, carry["carried"], carry["seen"])
+            measured = self._programs.call_compiled_program(
+                self._finish, policy_inputs, carry["carried"], carry["seen"]
+            )
         measured = {name: np.asarray(values, float) for name, values in measured.items()}
         last = jax.tree.map(np.asarray, carry["metric_state"])
         wrong, full = (np.asarray(carry[name]) for name in ("wrong", "full"))
@@ -293,21 +310,21 @@ class MjxModelEngine(ModelEngine):
         """What learned policies saw and did in the latest tick, (slots, k); k is 0 for other controllers."""
         if self._programs.learned is None:
             return np.zeros((len(slots), 0))
-        found = self._programs.learned.record(carried["state"])
+        found = self._programs.learned.latest_observation_and_action(carried["state"])
         return np.concatenate([np.asarray(one, float)[np.asarray(slots)] for one in found], axis=1)
 
     def _start(
-        self, world: SideValues, belief: SideValues, streams: np.ndarray
-    ) -> tuple[batch.BatchStart, tuple[Any, ...], dict[str, Any], np.ndarray, np.ndarray]:
+        self, world: ParameterOverrides, belief: ParameterOverrides, streams: np.ndarray
+    ) -> tuple[batch.InitialBatch, tuple[Any, ...], dict[str, Any], np.ndarray, np.ndarray]:
         """A batch before its first tick: rollouts, what `_ticked` has fixed and carries, ticks (n,), energy (n,) in J.
 
         To be called in the engine's precision.
         """
         spec, n = self._spec, len(streams)
-        print_note(f"{self._settings.name} compiles {self._about}")
-        begun = batch.start_batch(spec, self._settings, world, belief, streams)
+        print_note_once(f"{self._settings.name} compiles {self._about}")
+        begun = batch.make_initial_batch(spec, self._settings, world, belief, streams)
         policy_inputs = jax.device_put(begun.policy_inputs)
-        start, state, duration = self._programs.call_compiled(self._first, policy_inputs)
+        start, state, duration = self._programs.call_compiled_program(self._first, policy_inputs)
         at_first = begun.set_initial_state(start)
         seen = jnp.asarray(spec.observable_state(begun.qpos, begun.qvel, begun.sensors), float)
         ticks = batch.count_ticks(spec, duration)
@@ -319,7 +336,9 @@ class MjxModelEngine(ModelEngine):
         carry = {
             "sim_state": sim_state,
             "metric_state": self._meter.start(sim_state["qpos"], sim_state["qvel"]),
-            "carried": self._programs.call_compiled(self._enter, policy_inputs, state, seen, ticks.astype(np.int32)),
+            "carried": self._programs.call_compiled_program(
+                self._enter, policy_inputs, state, seen, ticks.astype(np.int32)
+            ),
             "seen": seen,
             "wrong": jnp.zeros(n, bool),
             "full": jnp.zeros(n, bool),
@@ -352,9 +371,9 @@ class MjxModelEngine(ModelEngine):
         """What goes on after `count` more ticks from the tick `first` on, see `_run_ticks`."""
         last = first + count
         when = f" in tick {last}" if count == 1 else f" in ticks {first + 1} to {last}"
-        return self._programs.call_compiled(self._ticks, fixed, count, carry, when=when)
+        return self._programs.call_compiled_program(self._ticks, fixed, count, carry, when=when)
 
-    def _put(self, begun: batch.BatchStart) -> tuple[Any, Any, dict[str, Array]]:
+    def _put(self, begun: batch.InitialBatch) -> tuple[Any, Any, dict[str, Array]]:
         """MJX's model, its data at the keyframe, and the fields in which the rollouts' models differ, (n, ...)."""
         n, rows = begun.batch.nsim, batch.varied_model_fields(begun)
         most = {name: np.abs(rows[name]).max(axis=0) for name in PROGRAM_SHAPING_FIELDS if name in rows}
@@ -378,7 +397,9 @@ class MjxModelEngine(ModelEngine):
         leaves = {}
         for name, values in rows.items():
             values = np.maximum(values, MIN_FRICTION_LOSS) if name in FRICTION_LOSS_FIELDS else values
-            if hasattr(one := model_leaf(template, name), "at"):  # others it works out itself, or `check` refuses them
+            if hasattr(
+                one := find_model_array(template, name), "at"
+            ):  # others it works out itself, or `check` refuses them
                 leaves[name] = jnp.asarray(values.reshape(n, *one.shape), float)
         if ground and ground.varies:
             rows = np.tile(self._model.hfield_data, (n, 1))
@@ -395,7 +416,7 @@ class MjxModelEngine(ModelEngine):
         template, data, leaves, policy_inputs, limits, acting = fixed
         bodies, time_step, law = self._spec.pushed_bodies, self._model.opt.timestep, self._spec.controller.joint_control
         motor_law, networks = self._spec.motor_law, self._spec.actuator_networks
-        evaluations = [jax.vmap(one.load_evaluation()) for one in networks]
+        evaluations = [jax.vmap(one.load_torque_function()) for one in networks]
 
         def inputs(ctrl: Array, wrench: Array | None) -> dict[str, Array]:
             return {"ctrl": ctrl} if wrench is None else {"ctrl": ctrl, "xfrc_applied": wrench}
@@ -501,7 +522,7 @@ class MjxModelEngine(ModelEngine):
         contact, forces = data._impl.contact, (getattr(data, name) for name in BALANCE_FIELDS)
         near = contact.dist < contact.includemargin
         full = jnp.array([False, *(near[np.asarray(contact.dim) == dim].all() for dim in self._limited)]).any()
-        return full, is_unbalanced(mjx.full_m(model, data), *forces)
+        return full, find_unbalanced_steps(mjx.full_m(model, data), *forces)
 
 
 def custom_numeric(model: mujoco.MjModel, name: str) -> np.ndarray | None:
@@ -515,7 +536,7 @@ def count_geom_pairs(model: mujoco.MjModel) -> int:
     return len(find_geom_pairs(model)) + model.npair
 
 
-def limited_contact_dims(model: mujoco.MjModel) -> list[int]:
+def find_capped_contact_dims(model: mujoco.MjModel) -> list[int]:
     """Return the contact dimensions (condim) for which MJX may drop contacts because of `max_contact_points`."""
     whole = copy(model)
     if (most := custom_numeric(whole, "max_contact_points")) is None:
@@ -525,7 +546,7 @@ def limited_contact_dims(model: mujoco.MjModel) -> list[int]:
     return [int(dim) for dim, count in zip(dims, counts, strict=True) if 0 <= room < count]
 
 
-def model_leaf(model: Any, name: str) -> Any:
+def find_model_array(model: Any, name: str) -> Any:
     """Return the array of an MJX model for a field named as in `mujoco.batch`; None where MJX lacks the field."""
     owner, name = fields.locate_field(model, name)
     return vars(owner).get(name)

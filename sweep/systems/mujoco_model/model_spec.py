@@ -79,7 +79,7 @@ TERM_NOISE_PARAMETERS = {  # errors of one term of a learned policy's observatio
 
 
 @dataclass(frozen=True)
-class SideValues:
+class ParameterOverrides:
     """Parameter values, by path, in which the simulated world or the belief differs from the nominal model."""
 
     values: tuple[tuple[str, Any], ...] = ()
@@ -130,7 +130,7 @@ class ModelSpec:
             compiled = self._load_source(count).compile()
             if self.config.terrain:
                 compiled.stat.extent, compiled.stat.center[:] = view.extent, view.center
-        return fields.with_scalar_options(compiled, dict(self.config.option))
+        return fields.replace_scalar_options(compiled, dict(self.config.option))
 
     def load_source(self) -> mujoco.MjSpec:
         """Load the source (MJCF or URDF) from which the model is compiled. Raises `InputError`."""
@@ -145,12 +145,12 @@ class ModelSpec:
         """Law that clips controls to what motors can deliver; None if no joint has a motor."""
         return make_motor_law(self.model, self.motors, self.actuator_networks)
 
-    def model_values(self, world: SideValues) -> dict[str, Any]:
+    def select_model_values(self, world: ParameterOverrides) -> dict[str, Any]:
         """Select the parameter values, by path, that are numbers of the compiled model."""
         own = world.select_group("model").items()
         return {path: value for path, value in own if not terrain.is_terrain_path(path) and path not in FILE_PATHS}
 
-    def make_terrain(self, world: SideValues, n: int) -> terrain.TerrainBatch | None:
+    def make_terrain(self, world: ParameterOverrides, n: int) -> terrain.TerrainBatch | None:
         """Make the terrains of n rollouts; None without terrain.
 
         Args:
@@ -184,7 +184,7 @@ class ModelSpec:
         grounds = {terrain.PREFIX + name: about for name, about in ground.items()}
         loads = {f"payload.{one.name}.{key}": about for one in self.payloads for key, about in PAYLOAD.items()}
         drives = {f"motor.{one.name}.{key}": about for one in self.motors for key, about in MOTOR.items()}
-        start = initial_state.start_parameters(self.model, self.base_address is not None)
+        start = initial_state.default_parameters(self.model, self.base_qpos_address is not None)
         schedules = {f"schedule.{one.name}.factor": FACTOR for one in self.schedules}
         return NOISE_PARAMETERS | terms | pushes | loads | drives | start | own | schedules | grounds
 
@@ -197,11 +197,11 @@ class ModelSpec:
     def tracked_commands(self) -> tuple[str, ...]:
         """Names of the velocity commands for which tracking errors are computed."""
         names = tuple(name for name in VELOCITY_COMMANDS if name in self.controller.parameters)
-        is_tracked = self.base_address is not None and (self.controller.fitted_policy or self.schedules)
+        is_tracked = self.base_qpos_address is not None and (self.controller.fitted_policy or self.schedules)
         return names if is_tracked else ()
 
     @property
-    def base_address(self) -> int | None:
+    def base_qpos_address(self) -> int | None:
         """Index in `qpos` of the model's first free joint (its base); None without one."""
         free = np.flatnonzero(self.model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
         return int(self.model.jnt_qposadr[free[0]]) if len(free) else None
@@ -306,10 +306,10 @@ class ModelSpec:
     @property
     def choices_by_path(self) -> dict[str, str]:
         """Names that an axis may replace by building another system: files and pushed bodies, by path."""
-        files_by_path = {path: self.nominal_file_of_path(path) for path in FILE_PATHS}
+        files_by_path = {path: self.nominal_file_of_parameter(path) for path in FILE_PATHS}
         return files_by_path | {f"push.{one.name}.body": one.body for one in self.pushes}
 
-    def nominal_file_of_path(self, path: str) -> str:
+    def nominal_file_of_parameter(self, path: str) -> str:
         """Return the nominal file or module of a parameter that names a file, such as `model.mjcf`."""
         owner = self.config.terrain if terrain.is_terrain_path(path) else self.config
         return getattr(owner, path.rpartition(".")[2], "")
@@ -342,7 +342,7 @@ class ModelSpec:
             recorded: Observations and actions (n, k) of a learned policy, see `policy_columns`.
         """
         columns = {}
-        if (at := self.base_address) is not None:
+        if (at := self.base_qpos_address) is not None:
             columns = {f"base_{axis}_m": qpos[:, at + k] for k, axis in enumerate("xyz")}
             upright = self.model.qpos0[at + 3 : at + 7]
             columns["tilt_deg"] = arccos_deg(cosine_of_tilt(qpos[:, at + 3 : at + 7], upright))

@@ -128,7 +128,7 @@ def make_network(name: str, model: Any, folder: Path) -> Network:
     return Network(name, MappingProxyType(inputs), MappingProxyType(outputs), MappingProxyType(metadata), evaluate)
 
 
-def make_joint_network(network: Network, recurrent: Mapping[str, str], size: int) -> Callable[[Any, Any], Any]:
+def vectorize_joint_network(network: Network, recurrent: Mapping[str, str], size: int) -> Callable[[Any, Any], Any]:
     """Turn a network of a single joint into a function of all joints of one rollout.
 
     Args:

@@ -16,13 +16,13 @@ import numpy as np
 from jaxtyping import Array
 
 from sweep.core.errors import USER_CODE_ERRORS, InputError, format_user_exception
-from sweep.core.metric import Metric, keep_ended_states
+from sweep.core.metric import Metric, freeze_ended_states
 from sweep.core.user_code import describe_user_error, run_user_code
-from sweep.fused.numbers import evaluate_plain_numbers
+from sweep.fused.numbers import evaluate_with_numpy
 from sweep.systems.mujoco_model import files
 from sweep.systems.mujoco_model.actuator_networks import ActuatorNetwork
-from sweep.systems.mujoco_model.batch import BatchStart, controller_inputs, count_ticks
-from sweep.systems.mujoco_model.model_spec import PHYSICAL, ModelSpec, SideValues
+from sweep.systems.mujoco_model.batch import InitialBatch, controller_inputs, count_ticks
+from sweep.systems.mujoco_model.model_spec import PHYSICAL, ModelSpec, ParameterOverrides
 from sweep.systems.mujoco_model.schedules import tabulate_schedule
 from sweep.systems.mujoco_model.tracking import VelocityTracking
 
@@ -35,12 +35,12 @@ def _draw_normal(key: Array, like: Array) -> Array:
     return jax.random.normal(key, like.shape, jnp.float32).astype(like.dtype)
 
 
-def select_numbers(values: Mapping[str, Any]) -> dict[str, Any]:
+def select_numeric_values(values: Mapping[str, Any]) -> dict[str, Any]:
     """Select the values that are numbers, not texts such as file names."""
     return {path: value for path, value in values.items() if not isinstance(value, str)}
 
 
-class ControllerEnd(NamedTuple):
+class FinalControllerState(NamedTuple):
     """Belief and final state of a user's controller, from which the controller's own metrics are computed."""
 
     belief: Mapping[str, Any]
@@ -54,14 +54,14 @@ def make_user_metric(control: files.LoadedController) -> Metric[Any]:
     """
     measure, figures = control.measure, control.figures
 
-    def compute(measurement: Any, end: ControllerEnd) -> dict[str, Array]:
+    def compute(measurement: Any, end: FinalControllerState) -> dict[str, Array]:
         return figures(*end, *([measurement] if measure else [])) if figures else {}
 
     begin = (lambda told: measure(None, told)) if measure else (lambda told: ())
     return Metric(begin, measure or (lambda measurement, told: ()), compute, control.metric_meanings)
 
 
-class FirstTick(NamedTuple):
+class FirstTickEvaluation(NamedTuple):
     """Observations and commands of a controller at the nominal start, without sensor errors."""
 
     inputs: dict[str, list[tuple[str, str, np.ndarray]]]  # terms of each input: name, unit and numbers
@@ -94,7 +94,7 @@ class ControllerPrograms:
         def each(one: Callable[..., Any]) -> Callable[..., Any]:  # of a tile's rollouts
             return lambda *rows: jax.lax.map(lambda row: one(*row), rows)
 
-        self.first, self.enter = jax.jit(each(self.begin_controller)), jax.jit(each(self.start_rollout))
+        self.first, self.enter = jax.jit(each(self.begin_controller)), jax.jit(each(self.make_initial_carry))
         self.tick, self.finish = (
             jax.jit(each(self.tick_controller), donate_argnums=1),
             jax.jit(each(self.compute_rollout_metrics)),
@@ -114,7 +114,7 @@ class ControllerPrograms:
             found[name] = policy_inputs["factors"][name] * values[jnp.clip(tick, 0, len(table) - 1)]
         return found
 
-    def start_rollout(
+    def make_initial_carry(
         self, policy_inputs: Mapping[str, Any], state: Any, observable: Array, ticks: Array
     ) -> dict[str, Any]:
         """Return what one rollout carries from tick to tick: the controller's state and past observations."""
@@ -160,7 +160,7 @@ class ControllerPrograms:
             told, held = seen_late + carried["bias"] + policy_inputs["white"] * _draw_normal(noise, seen), {}
         ctrl, state = self._policy(self._belief(policy_inputs, tick), told, carried["state"], policy_key)
         new = {"late": late, "tick": tick + 1, **self._measured(policy_inputs, carried, observable), **held}
-        return ctrl, {**carried, **new, "state": keep_ended_states(tick < carried["ticks"], state, carried["state"])}
+        return ctrl, {**carried, **new, "state": freeze_ended_states(tick < carried["ticks"], state, carried["state"])}
 
     def _observe_terms(self, policy_inputs: Mapping[str, Any], carried: Any, late: Array, key: Array) -> Array:
         """What a learned policy measures in a tick (k,), with the errors of each term."""
@@ -183,10 +183,10 @@ class ControllerPrograms:
         """Compute the controller's own metrics of one rollout from its last state (s,), by name."""
         measured = self._measured(policy_inputs, carried, observable)
         belief = self._belief(policy_inputs, carried["ticks"] - 1)
-        found = self._metric.compute(measured["measurement"], ControllerEnd(belief, carried["state"]))
+        found = self._metric.compute(measured["measurement"], FinalControllerState(belief, carried["state"]))
         return found | (self._tracking.compute(measured["tracking"]) if self._tracking else {})
 
-    def rollout_outputs(self, world: SideValues, belief: SideValues, key: Array) -> Any:
+    def rollout_outputs(self, world: ParameterOverrides, belief: ParameterOverrides, key: Array) -> Any:
         """Compute controller outputs and model inputs of one rollout; JAX only traces this function for analysis."""
         spec = self._spec
         policy_inputs = {**controller_inputs(spec, world, belief), "key": jax.random.key_data(key)}
@@ -198,14 +198,14 @@ class ControllerPrograms:
             ctrl, carried = self.tick_controller(policy_inputs, carried, observable)
             return carried, ctrl
 
-        carried = self.start_rollout(policy_inputs, state, observable, jnp.int32(2))
+        carried = self.make_initial_carry(policy_inputs, state, observable, jnp.int32(2))
         carried, ctrl = jax.lax.scan(tick, carried, None, length=2)
         return (
             start,
             duration,
             ctrl,
             self.compute_rollout_metrics(policy_inputs, carried, observable),
-            [select_numbers(world.select_group(name)) for name in ("model", *PHYSICAL)],
+            [select_numeric_values(world.select_group(name)) for name in ("model", *PHYSICAL)],
             dict(world.values).get("noise.action_delay"),
         )
 
@@ -218,9 +218,9 @@ class ControllerPrograms:
             belief = self._belief(policy_inputs, carried["tick"] - 1)  # of the tick that has ended
             new["tracking"] = self._tracking.update(carried["tracking"], belief, state)
         within = (carried["tick"] > 0) & (carried["tick"] <= carried["ticks"])  # the start is in it
-        return keep_ended_states(within, new, old)
+        return freeze_ended_states(within, new, old)
 
-    def check_start(self, begun: BatchStart) -> None:
+    def check_first_controls(self, begun: InitialBatch) -> None:
         """Raise `InputError` if the controller's first controls are not finite, or differ between two calls.
 
         The calls are for the nominal start; one of a batched controller lies between the two that must agree.
@@ -228,7 +228,7 @@ class ControllerPrograms:
 
         def found(function: Callable[..., Any], *more: Any) -> Any:  # without compiling it
             return self.call_user_code(
-                evaluate_plain_numbers, lambda: function(*jax.tree.map(jnp.asarray, (first, *more)))
+                evaluate_with_numpy, lambda: function(*jax.tree.map(jnp.asarray, (first, *more)))
             )
 
         first = jax.tree.map(lambda rows: rows[0], begun.policy_inputs)
@@ -238,7 +238,9 @@ class ControllerPrograms:
             raise self._error("begins at positions that are not finite")
         begun.set_initial_state(start)
         observable = self._spec.observable_state(begun.qpos, begun.qvel, begun.sensors)[0]
-        ctrl, _ = found(self.tick_controller, found(self.start_rollout, state, observable, np.int32(1)), observable)
+        ctrl, _ = found(
+            self.tick_controller, found(self.make_initial_carry, state, observable, np.int32(1)), observable
+        )
         told = np.tile(ctrl, (TILE_ROLLOUTS, 1))
         controls = np.array(self.compute_controls(told))
         if not np.isfinite(controls).all():
@@ -256,7 +258,7 @@ class ControllerPrograms:
                 "for each rollout: policy(belief, observation, state, key) -> (controls, state)"
             )
 
-    def evaluate_first_tick(self, begun: BatchStart) -> FirstTick:
+    def evaluate_first_tick(self, begun: InitialBatch) -> FirstTickEvaluation:
         """Return observations and commands of the controller at the nominal start. Raises `InputError` where it fails.
 
         Args:
@@ -267,7 +269,7 @@ class ControllerPrograms:
         start, state, _ = self.call_user_code(self.begin_controller, first)
         begun.set_initial_state(start)
         observable = jnp.asarray(spec.observable_state(begun.qpos, begun.qvel, begun.sensors)[0], float)
-        carried = self.call_user_code(self.start_rollout, first, state, observable, np.int32(1))
+        carried = self.call_user_code(self.make_initial_carry, first, state, observable, np.int32(1))
         seen = spec.observe_state(observable)
         ctrl, carried = self.call_user_code(self.tick_controller, first, carried, observable)
         controls = np.array(self.compute_controls(np.tile(ctrl, (TILE_ROLLOUTS, 1))))[0]
@@ -279,8 +281,10 @@ class ControllerPrograms:
             inputs = {"observation": [(name, "", np.asarray(one)) for name, one in zip(parts, every, strict=True)]}
         else:
             numbers[learned.actuators] = carried["state"]["action"]
-            inputs = learned.split_terms(learned.assemble(self._belief(first, jnp.int32(0)), seen, state)[0])
-        return FirstTick(inputs, list(zip(names, numbers.tolist(), controls.tolist(), strict=True)))
+            inputs = learned.split_inputs_into_terms(
+                learned.assemble(self._belief(first, jnp.int32(0)), seen, state)[0]
+            )
+        return FirstTickEvaluation(inputs, list(zip(names, numbers.tolist(), controls.tolist(), strict=True)))
 
     def _error(self, what: str) -> InputError:
         """One line that says what a controller does wrong."""
@@ -315,10 +319,10 @@ class ControllerPrograms:
 
         To be called once: functions made in every run would be traced and compiled anew.
         """
-        each = self.begin_controller, self.start_rollout, self.compute_rollout_metrics
+        each = self.begin_controller, self.make_initial_carry, self.compute_rollout_metrics
         return tuple(jax.jit(jax.vmap(one)) for one in each)
 
-    def call_compiled(self, program: Callable[..., Any], *inputs: Any, when: str = "") -> Any:
+    def call_compiled_program(self, program: Callable[..., Any], *inputs: Any, when: str = "") -> Any:
         """Call a compiled program that contains a user's controller, and wait so that its errors are raised here.
 
         Args:
@@ -352,7 +356,7 @@ class ControllerPrograms:
         ctrl, after = jax.eval_shape(self._policy, belief, seen, state, key)
         measurement = jax.eval_shape(lambda: self._metric.begin(spec.split_state(observable)))
         more = jax.eval_shape(self._metric.update, measurement, spec.split_state(observable))
-        found = jax.eval_shape(self._metric.compute, measurement, ControllerEnd(belief, after))
+        found = jax.eval_shape(self._metric.compute, measurement, FinalControllerState(belief, after))
         shape = getattr(ctrl, "shape", type(ctrl).__name__)
 
         def differ(*trees: Any) -> bool:
@@ -385,11 +389,11 @@ class ControllerPrograms:
             self.compute_controls(np.zeros((TILE_ROLLOUTS, seen.shape[0]), jnp.zeros(0).dtype))
 
 
-class TiledActuators:
+class TiledActuatorNetwork:
     """A neural network for actuator torques, evaluated for `TILE_ROLLOUTS` of n rollouts at a time."""
 
     def __init__(self, network: ActuatorNetwork):
-        one = network.load_evaluation()
+        one = network.load_torque_function()
         self._program = jax.jit(lambda *rows: jax.lax.map(lambda row: one(*row), rows))
 
     def __call__(self, inputs: np.ndarray, memory: Mapping[str, np.ndarray]) -> tuple[np.ndarray, dict[str, Any]]:
@@ -426,15 +430,17 @@ class ControllerBatch:
         parts, self._carried = zip(*self._of_tiles(self._programs.tick, observable), strict=True)
         return self._joined([self._programs.compute_controls(one, self._when) for one in parts])
 
-    def read_policy(self, slots: Any) -> np.ndarray:
+    def read_observations_and_actions(self, slots: Any) -> np.ndarray:
         """Return observation and action (slots, k) of a neural policy in the last tick; k = 0 for others."""
         learned, slots = self._programs.learned, np.asarray(slots, int)
         if learned is None:
             return np.zeros((len(slots), 0))
-        tiles = [np.concatenate(learned.record(carried["state"]), axis=1) for carried in self._carried]
+        tiles = [
+            np.concatenate(learned.latest_observation_and_action(carried["state"]), axis=1) for carried in self._carried
+        ]
         return np.concatenate(tiles)[slots].astype(float)
 
-    def finish(self, observable: np.ndarray) -> dict[str, np.ndarray]:
+    def compute_rollout_metrics(self, observable: np.ndarray) -> dict[str, np.ndarray]:
         """Return the controllers' own metrics (n,), by name, from the model's last states (n, s)."""
         parts = self._of_tiles(self._programs.finish, observable)
         return {name: self._joined([one[name] for one in parts]) for name in parts[0]}
@@ -445,7 +451,7 @@ class ControllerBatch:
 
     def _call(self, function: Callable[[], Any]) -> Any:
         """Wait for the results of compiled programs, so that their errors are raised here."""
-        return self._programs.call_compiled(function, when=self._when)
+        return self._programs.call_compiled_program(function, when=self._when)
 
     def _of_tiles(self, program: Callable[..., Any], *more: np.ndarray) -> list[Any]:
         """Call a program for each tile with its inputs, its carried state and its rows of `more`."""

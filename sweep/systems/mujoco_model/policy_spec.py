@@ -78,7 +78,7 @@ Numbers = float | tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class TermSpec:
+class ObservationTermSpec:
     """One term of a neural policy's observation: its source, clipping, scale, and number of past ticks."""
 
     term: str  # what is observed: a name of the table below
@@ -228,7 +228,7 @@ def read_metadata(error_prefix: str, metadata: Mapping[str, str]) -> dict[str, A
     return found
 
 
-def parse_terms(error_prefix: str, config: Any) -> tuple[TermSpec, ...]:
+def parse_terms(error_prefix: str, config: Any) -> tuple[ObservationTermSpec, ...]:
     """Build the observation terms of one network input from a list of names and mappings. Raises `InputError`."""
     if not isinstance(config, list | tuple) or not config:
         raise InputError(
@@ -243,7 +243,7 @@ def parse_terms(error_prefix: str, config: Any) -> tuple[TermSpec, ...]:
             )
         term = TERM_ALIASES.get(one["term"], one["term"])
         require_choice(term, TERM_UNITS, f"{error_prefix}[{k}]: {term}")
-        made = _build(TermSpec, {**one, "term": term}, f"{error_prefix}[{k}]")
+        made = _build(ObservationTermSpec, {**one, "term": term}, f"{error_prefix}[{k}]")
         if bool(made.sensor) < (made.term == "sensor"):
             raise InputError(f"{error_prefix}[{k}]: a term `sensor` needs the key sensor")
         if made.lag and made.term not in ("last_action", "phase"):
@@ -279,7 +279,7 @@ def require_clip_range(key: str, clip: Sequence[float]) -> None:
         raise InputError(f"{key} = {list(clip)} is not allowed: the least and the largest value")
 
 
-def joint_values(error_prefix: str, config: Any, joints: Sequence[str]) -> np.ndarray:
+def parse_joint_values(error_prefix: str, config: Any, joints: Sequence[str]) -> np.ndarray:
     """Return one number per joint from a number, a list, or a mapping by joint names.
 
     Args:

@@ -15,14 +15,14 @@ from mujoco.batch import MODEL_FIELDS, Batch
 
 from sweep.contract.system import Parameter
 from sweep.core.errors import InputError, require_choice
-from sweep.core.parameters import check_value, setting
+from sweep.core.parameters import convert_and_check_value, setting
 from sweep.systems.mujoco_model import fields
 from sweep.systems.mujoco_model.terrain_heights import (
     KIND,
     KINDS,
     NUMBERS,
     compute_heights,
-    greatest_height,
+    height_upper_bound,
 )
 
 PREFIX = "model.terrain."  # of paths
@@ -51,15 +51,15 @@ class TerrainConfig:
     resolution: float = SIZES["resolution"].default
 
     @property
-    def points(self) -> tuple[int, int]:
+    def grid_shape(self) -> tuple[int, int]:
         """Number of height-field points along the y and the x axis."""
         rows, columns = (max(2, round(side / self.resolution + 0.499999) + 1) for side in (self.width, self.length))
         return rows, columns
 
     @property
-    def axes(self) -> tuple[np.ndarray, np.ndarray]:
+    def grid_coordinates(self) -> tuple[np.ndarray, np.ndarray]:
         """Coordinates (m) of the height-field points along x (columns,) and y (rows,), from the terrain's middle."""
-        rows, columns = self.points
+        rows, columns = self.grid_shape
         return tuple(np.linspace(-side / 2, side / 2, n) for side, n in ((self.length, columns), (self.width, rows)))  # pyright: ignore[reportReturnType]
 
     def values_by_path(self) -> dict[str, Any]:
@@ -68,7 +68,7 @@ class TerrainConfig:
             {f"{PREFIX}file": self.file} if self.file else {}
         )
 
-    def with_values(self, values: Mapping[str, Any]) -> "TerrainConfig":
+    def replace_settings(self, values: Mapping[str, Any]) -> "TerrainConfig":
         """Return these terrain settings with other kind, image or grid, by path; other parameters are ignored."""
         own = {path.removeprefix(PREFIX): value for path, value in values.items() if path.startswith(PREFIX)}
         return replace(self, **{key: value for key, value in own.items() if key in (*SIZES, "kind", "file")})
@@ -96,16 +96,20 @@ def parse_terrain(given: Any) -> tuple[TerrainConfig | None, dict[str, Any]]:
         if not isinstance(given.get(key, ""), str):
             raise InputError(f"{PREFIX}{key} = {given[key]!r} is not allowed: a name")
     structure = {"kind": KIND, **SIZES}
-    told = {key: check_value(one, given[key], PREFIX + key) for key, one in structure.items() if key in given}
+    told = {
+        key: convert_and_check_value(one, given[key], PREFIX + key) for key, one in structure.items() if key in given
+    }
     shape = TerrainConfig(**told, **{key: given[key] for key in ("geom", "file") if key in given})
-    numbers = {key: check_value(one, given.get(key, one.default), PREFIX + key) for key, one in NUMBERS.items()}
+    numbers = {
+        key: convert_and_check_value(one, given.get(key, one.default), PREFIX + key) for key, one in NUMBERS.items()
+    }
     check_terrain_size(shape)
     return shape, {PREFIX + key: value for key, value in numbers.items()}
 
 
 def check_terrain_size(shape: TerrainConfig) -> None:
     """Raise `InputError` if a terrain has too many points, or its image file is not given."""
-    rows, columns = shape.points
+    rows, columns = shape.grid_shape
     if rows * columns > MOST_POINTS:
         raise InputError(
             f"model.terrain.resolution = {shape.resolution:g} is not allowed: {rows} x {columns} points, and at most "
@@ -122,7 +126,7 @@ def check_height_range(shape: TerrainConfig, numbers: Mapping[str, Any]) -> None
         shape: The structure.
         numbers: Numbers of the terrain by name, which may be arrays of one shape.
     """
-    most = float(np.max(greatest_height(shape.kind, numbers, float(np.hypot(shape.length, shape.width)) / 2)))
+    most = float(np.max(height_upper_bound(shape.kind, numbers, float(np.hypot(shape.length, shape.width)) / 2)))
     if most >= RANGE:
         raise InputError(
             f"model.terrain.kind = {shape.kind} is not allowed with heights up to {most:.4g} m: below {RANGE:g} m"
@@ -143,7 +147,7 @@ def replace_floor(spec: mujoco.MjSpec, shape: TerrainConfig, count: int) -> None
     if any(one.name == f"{FIELD}0" for one in spec.hfields):
         raise InputError(f"model.terrain is not allowed: the model has a height field called {FIELD}0")
     geom = _find_floor(spec, shape)
-    rows, columns = shape.points
+    rows, columns = shape.grid_shape
     for k in range(count):
         made = spec.add_hfield(name=f"{FIELD}{k}", nrow=rows, ncol=columns)
         made.size = [shape.length / 2, shape.width / 2, RANGE, RANGE]
@@ -226,7 +230,7 @@ class TerrainBatch(NamedTuple):
             }
         return {"ground": self.heights, "ground_index": self.which, "ground_place": place}
 
-    def with_heights(self, model: mujoco.MjModel) -> mujoco.MjModel:
+    def fill_height_fields(self, model: mujoco.MjModel) -> mujoco.MjModel:
         """Return a copy of a model whose k height fields have the heights of the k terrains."""
         model = copy(model)
         for k, values in enumerate(self.height_data):
@@ -237,7 +241,7 @@ class TerrainBatch(NamedTuple):
         """Let every rollout of a batch collide with its own height field."""
         batch.expand("geom_dataid")[:, find_terrain_geom(batch.model)] += self.which
 
-    def make_picture_model(self, batch: Batch, slot: int, alone: mujoco.MjModel) -> mujoco.MjModel:
+    def make_render_model(self, batch: Batch, slot: int, alone: mujoco.MjModel) -> mujoco.MjModel:
         """Return the model of one rollout with the heights of its own terrain only, for drawing.
 
         Args:
@@ -273,7 +277,7 @@ def make_terrain_batch(
     rows = np.stack([np.asarray(numbers[name], float) for name in NUMBERS], axis=1)
     rows[:, [k for k, name in enumerate(NUMBERS) if name not in uses]] = 0  # which count for nothing
     distinct, which = np.unique(rows, axis=0, return_inverse=True)
-    x, y = shape.axes
+    x, y = shape.grid_coordinates
     made = [compute_heights(shape.kind, dict(zip(NUMBERS, row, strict=True)), x, y, image) for row in distinct]
     return TerrainBatch(shape, np.stack(made), which.reshape(-1), varies)
 
@@ -340,7 +344,7 @@ def _highest_ground(ground: TerrainBatch, centres: np.ndarray, halves: np.ndarra
     """Return the greatest height (n, g) under rectangles of places (n, g, 2), all in m; -inf beside the terrain."""
     found = np.full(centres.shape[:2], -np.inf)
     spans = []
-    for k, axis in enumerate(ground.shape.axes):
+    for k, axis in enumerate(ground.shape.grid_coordinates):
         step, last = axis[1] - axis[0], len(axis) - 1
         low, high = ((centres[..., k] + sign * halves[..., k] - axis[0]) / step for sign in (-1, 1))
         spans.append((np.floor(low + 1e-9), np.ceil(high - 1e-9), last))

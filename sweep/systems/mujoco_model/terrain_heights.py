@@ -152,7 +152,7 @@ def compute_heights(
     return KINDS[kind].heights(GridPoints(u, v, cos * u + sin * v, cos * v - sin * u), numbers, image)
 
 
-def greatest_height(kind: str, numbers: Mapping[str, Any], reach: float) -> Any:
+def height_upper_bound(kind: str, numbers: Mapping[str, Any], reach: float) -> Any:
     """Return an upper bound (m) on the absolute heights of a terrain.
 
     Args:

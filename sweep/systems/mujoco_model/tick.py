@@ -41,8 +41,8 @@ class ModelPartIndices:
     def __init__(self, own: ModelSpec):
         model = own.model
         self.timestep = model.opt.timestep
-        self.has_base = own.base_address is not None
-        first = own.base_address or 0
+        self.has_base = own.base_qpos_address is not None
+        first = own.base_qpos_address or 0
         self.base_position, self.base_quat = slice(first, first + 3), slice(first + 3, first + 7)  # in qpos
         free = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
         dof = int(model.jnt_dofadr[free[0]]) if len(free) else 0
@@ -163,7 +163,7 @@ class ModelTick:
             raise TypeError("the model has no terrain")
         place = base[..., :2] - self.limits["ground_place"][:, None, :2]
         return self.limits["ground_place"][:, 2:] + interpolate_heights(
-            self.limits["ground"], self.limits["ground_index"][:, None], place, *shape.axes
+            self.limits["ground"], self.limits["ground_index"][:, None], place, *shape.grid_coordinates
         )
 
     @property
@@ -251,11 +251,11 @@ class ModelRollout(NamedTuple):
         """Return the integral over time of a quantity that was summed over physics steps."""
         return total * self.parts.timestep
 
-    def share(self, count: np.ndarray) -> np.ndarray:
+    def share_of_steps(self, count: np.ndarray) -> np.ndarray:
         """Return `count` as a share of the rollout's physics steps."""
         return count / np.maximum(self.steps, 1)
 
-    def displacement_along(self, displacement: np.ndarray) -> np.ndarray:
+    def displacement_along_command(self, displacement: np.ndarray) -> np.ndarray:
         """Return the component (n,) of displacements (n, 3) along the direction `model.direction`."""
         return displacement @ self.parts.direction
 

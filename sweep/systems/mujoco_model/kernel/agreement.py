@@ -9,10 +9,10 @@ import numpy as np
 
 from sweep.core.errors import InputError
 from sweep.fused import eager
-from sweep.systems.mujoco_model.kernel.guard import find_unsimulated_pairs
+from sweep.systems.mujoco_model.kernel.guard import find_unsimulated_geom_pairs
 from sweep.systems.mujoco_model.kernel.layout import FREE, PLANE, RobotLayout, unsupported_model_error
-from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
-from sweep.systems.mujoco_model.kernel.step import read_state, solve_forward, write_state
+from sweep.systems.mujoco_model.kernel.numbers import ModelFieldValues
+from sweep.systems.mujoco_model.kernel.step import compute_forward_dynamics, read_state, write_state
 
 STATES = 256
 ALLOWED = 1e-9  # difference of accelerations, as a share of them
@@ -20,7 +20,7 @@ ITERATIONS = 60  # of both solvers, which converge here
 SEED = 20
 
 
-class Agreement(NamedTuple):
+class AccelerationAgreement(NamedTuple):
     """Relative differences between the kernel's and C MuJoCo's accelerations in random states."""
 
     states: int
@@ -34,7 +34,7 @@ class Agreement(NamedTuple):
             f"MuJoCo's by {self.largest:.1g} at most (median {self.median:.1g}), in double precision"
         )
 
-    def require(self, model: str) -> None:
+    def require_within_tolerance(self, model: str) -> None:
         """Raise `InputError` if the kernel's accelerations differ too much from those of C MuJoCo."""
         if not self.largest <= ALLOWED:
             raise InputError(
@@ -103,7 +103,9 @@ def _strict(model: mujoco.MjModel) -> mujoco.MjModel:
     return model
 
 
-def compare_accelerations(layout: RobotLayout, model: mujoco.MjModel, keyframe: int, count: int = STATES) -> Agreement:
+def compare_accelerations(
+    layout: RobotLayout, model: mujoco.MjModel, keyframe: int, count: int = STATES
+) -> AccelerationAgreement:
     """Compare the kernel's accelerations in random states with those of MuJoCo's `mj_forward`, in double precision.
 
     Args:
@@ -114,7 +116,7 @@ def compare_accelerations(layout: RobotLayout, model: mujoco.MjModel, keyframe: 
     """
     drawn = draw_states(model, keyframe, count)
     watched = {
-        frozenset(pair) for pair in find_unsimulated_pairs(layout, model)
+        frozenset(pair) for pair in find_unsimulated_geom_pairs(layout, model)
     }  # such rollouts are simulated elsewhere
 
     def is_simulated(data: mujoco.MjData) -> bool:
@@ -127,18 +129,20 @@ def compare_accelerations(layout: RobotLayout, model: mujoco.MjModel, keyframe: 
 
         def forward(qpos, qvel, warm, ctrl):
             state = read_state(layout, model, qpos, qvel, warm)
-            result, _ = solve_forward(layout, ModelNumbers(model, {}, {}), state, ctrl, (), ITERATIONS)
+            result, _ = compute_forward_dynamics(layout, ModelFieldValues(model, {}, {}), state, ctrl, (), ITERATIONS)
             moved = state._replace(
                 warm_base=result.solution.acceleration.base, warm=result.solution.acceleration.joints
             )
             return write_state(layout, model, moved)[2]
 
         shapes = [jax.ShapeDtypeStruct((size,), jnp.float64) for size in (model.nq, model.nv, model.nv, model.nu)]
-        program = eager.trace(forward, *shapes)
+        program = eager.trace_numpy_program(forward, *shapes)
         names = "qpos", "qvel", "qacc_smooth", "ctrl"
         rows = [np.stack([getattr(one, name) for one in chosen]) for name in names]
         found = np.asarray(program(len(chosen), *rows), float)
     there = np.stack([one.qacc for one in chosen])
     off = np.linalg.norm(found - there, axis=1) / np.linalg.norm(there, axis=1)
     touching = sum(one.ncon > 0 for one in chosen)
-    return Agreement(len(chosen), touching, float(np.median(off)), float(np.nan_to_num(off, nan=np.inf).max()))
+    return AccelerationAgreement(
+        len(chosen), touching, float(np.median(off)), float(np.nan_to_num(off, nan=np.inf).max())
+    )

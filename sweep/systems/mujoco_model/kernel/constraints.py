@@ -15,30 +15,37 @@ from sweep.systems.mujoco_model.kernel.layout import (
     SPHERE,
     CollisionPlane,
     RobotLayout,
-    find_pair_ids,
+    find_contact_pair_ids,
     touches_ground,
     unsupported_model_error,
 )
-from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers, raise_to_power
+from sweep.systems.mujoco_model.kernel.numbers import ModelFieldValues, raise_to_power
 from sweep.systems.mujoco_model.kernel.scalars import (
     NO_MATRIX,
     NOTHING,
     ONE,
     ZERO,
     Scalar,
-    Symmetric,
+    SymmetricMatrix,
     Vector,
-    as_symmetric,
+    as_symmetric_matrix,
     clip,
-    known_vector,
+    constant_vector,
     largest,
     quaternion_axes,
-    rotate,
+    rotate_to_world,
     smallest,
     square_root,
     where,
 )
-from sweep.systems.mujoco_model.kernel.smooth import BASE, UPRIGHT, RobotState, SmoothTerms, SpatialVector, wrench_at
+from sweep.systems.mujoco_model.kernel.smooth import (
+    BASE,
+    UPRIGHT,
+    RobotState,
+    SmoothTerms,
+    SpatialVector,
+    point_force_wrench,
+)
 
 TINY = 1e-15  # below which MuJoCo takes a number for 0
 LEAST_FRICTION = 1e-5  # MuJoCo's mjMINMU
@@ -55,7 +62,7 @@ class ConstraintLaw(NamedTuple):
     impedance: tuple[Scalar, Scalar, Scalar, Scalar, Scalar]  # least, largest, width, middle, power; two last known
 
 
-class CandidatePoint(NamedTuple):
+class ContactCandidate(NamedTuple):
     """A point of a body that may touch a plane: a sphere's centre, an end of a capsule, or a corner of a box."""
 
     stack: int
@@ -71,7 +78,7 @@ class CandidatePoint(NamedTuple):
 class GroundContacts(NamedTuple):
     """Contacts of corresponding points of all limbs with a geom of the world: frame, friction and accelerations."""
 
-    point: CandidatePoint
+    point: ContactCandidate
     at: Vector  # from the base's origin
     frame: tuple[Vector, Vector, Vector]  # normal and tangents, world axes
     friction: tuple[Scalar, ...]  # of each dimension after the normal one: sliding twice, torsional, rolling twice
@@ -90,7 +97,7 @@ class GroundContacts(NamedTuple):
         return len(self.point.real)
 
 
-class JointRow(NamedTuple):
+class JointConstraint(NamedTuple):
     """Constraint row for corresponding joints of all limbs: a range limit, or joint friction.
 
     Or on that of the base in one direction: the friction of the free joint.
@@ -108,49 +115,49 @@ class Constraints(NamedTuple):
     """All constraints that act on the robot in a state: contacts, joint limits, joint friction."""
 
     contacts: tuple[GroundContacts, ...]
-    rows: tuple[JointRow, ...]
+    rows: tuple[JointConstraint, ...]
     is_elliptic: bool
     pairs: tuple[Any, ...] = ()  # `PairContacts` of the robot's geoms with one another
 
 
-def find_candidate_points(layout: RobotLayout, numbers: ModelNumbers, plane: int) -> list[CandidatePoint]:
+def find_contact_candidates(layout: RobotLayout, numbers: ModelFieldValues, plane: int) -> list[ContactCandidate]:
     """Return the points of the robot that may touch a plane."""
     model, found = numbers.model, []
     for s, stack in enumerate(layout.stacks):
-        singles: list[CandidatePoint] = []
+        singles: list[ContactCandidate] = []
         for geoms in stack.geoms:
             if not all(touches_ground(model, int(g), plane) for g in geoms):
                 continue
-            place = numbers.vector("geom_pos", geoms)
-            columns = numbers.rotation("geom_quat", geoms)
+            place = numbers.get_vector("geom_pos", geoms)
+            columns = numbers.get_rotation_columns("geom_quat", geoms)
             real = np.ones(len(geoms), bool)
 
             def to_body_axes(v: Vector, columns: Any = columns) -> Vector:
-                return v if columns is None else rotate(columns, v)
+                return v if columns is None else rotate_to_world(columns, v)
 
             size = [numbers.get("geom_size", geoms, k) for k in range(3)]
             if model.geom_type[geoms[0]] == BOX:
                 for one in CORNERS:
                     corner = to_body_axes(Vector(*(a * float(b) for a, b in zip(size, one, strict=True))))
-                    singles.append(CandidatePoint(s, place, corner, ZERO, None, stack.bodies, geoms, real))
+                    singles.append(ContactCandidate(s, place, corner, ZERO, None, stack.bodies, geoms, real))
             elif model.geom_type[geoms[0]] == CAPSULE:
                 along = to_body_axes(Vector(ZERO, ZERO, ONE))
                 for side in (1.0, -1.0):
                     end = place + along * (size[1] * side)
-                    singles.append(CandidatePoint(s, end, NOTHING, size[0], along, stack.bodies, geoms, real))
+                    singles.append(ContactCandidate(s, end, NOTHING, size[0], along, stack.bodies, geoms, real))
             elif model.geom_type[geoms[0]] == SPHERE:
-                singles.append(CandidatePoint(s, place, NOTHING, size[0], None, stack.bodies, geoms, real))
+                singles.append(ContactCandidate(s, place, NOTHING, size[0], None, stack.bodies, geoms, real))
         packable = stack.n == 1 and len(singles) > 1 and all(_is_known(one) for one in singles)
         found += _pack(singles, layout.group) if packable else singles
     return found
 
 
-def _is_known(point: CandidatePoint) -> bool:
+def _is_known(point: ContactCandidate) -> bool:
     parts = (*point.centre, *point.corner, point.radius)
-    return point.along is None and all(one.is_known for one in parts)
+    return point.along is None and all(one.is_constant for one in parts)
 
 
-def _pack(singles: list[CandidatePoint], group: int) -> list[CandidatePoint]:
+def _pack(singles: list[ContactCandidate], group: int) -> list[ContactCandidate]:
     """Put points of one body into rows of `group`; free places repeat the first point and are marked as not real."""
     found = []
     for first in range(0, len(singles), group):
@@ -160,11 +167,11 @@ def _pack(singles: list[CandidatePoint], group: int) -> list[CandidatePoint]:
         def join(numbers: list[Scalar]) -> Scalar:
             return Scalar(np.array([one.value for one in numbers]))
 
-        def vectors(name: str, filled: list[CandidatePoint] = filled) -> Vector:
+        def vectors(name: str, filled: list[ContactCandidate] = filled) -> Vector:
             return Vector(*(join([getattr(one, name)[k] for one in filled]) for k in range(3)))
 
         found.append(
-            CandidatePoint(
+            ContactCandidate(
                 chosen[0].stack,
                 vectors("centre"),
                 vectors("corner"),
@@ -179,32 +186,32 @@ def _pack(singles: list[CandidatePoint], group: int) -> list[CandidatePoint]:
 
 
 def find_contacts(
-    layout: RobotLayout, numbers: ModelNumbers, state: RobotState, smooth: SmoothTerms
+    layout: RobotLayout, numbers: ModelFieldValues, state: RobotState, smooth: SmoothTerms
 ) -> list[GroundContacts]:
     """Compute the contacts of the robot with all planes in a state; points above a plane have zero weight."""
     found = []
     for plane in layout.planes:
-        normal, start = known_vector(plane.normal), locate_plane(numbers, plane)
+        normal, start = constant_vector(plane.normal), find_point_on_plane(numbers, plane)
         height = normal.dot(state.position - start)
-        for point in find_candidate_points(layout, numbers, plane.geom):
+        for point in find_contact_candidates(layout, numbers, plane.geom):
             place = smooth.places[point.stack]
-            centre = place.origin + rotate(place.axes, point.centre)
+            centre = place.origin + rotate_to_world(place.axes, point.centre)
             if not all(one.is_exactly(0) for one in point.corner):
-                arm = rotate(place.axes, point.corner)
+                arm = rotate_to_world(place.axes, point.corner)
                 centre = centre + arm * where(normal.dot(arm) > ZERO, -ONE, ONE)
             distance = height + normal.dot(centre) - point.radius
             at = centre - normal * (point.radius + distance * 0.5)
-            along = None if point.along is None else rotate(place.axes, point.along)
+            along = None if point.along is None else rotate_to_world(place.axes, point.along)
             frame = (normal, *make_plane_tangents(normal, along))
             found.append(make_ground_contacts(numbers, plane.geom, point, distance, at, frame, place.motion))
     return found
 
 
-def locate_plane(numbers: ModelNumbers, plane: CollisionPlane) -> Vector:
+def find_point_on_plane(numbers: ModelFieldValues, plane: CollisionPlane) -> Vector:
     """Return a point (m, world axes) of a plane, whose height may differ between rollouts."""
     if numbers.model.geom_bodyid[plane.geom]:
-        return known_vector(plane.position)
-    return numbers.vector("geom_pos", np.array([plane.geom]))
+        return constant_vector(plane.position)
+    return numbers.get_vector("geom_pos", np.array([plane.geom]))
 
 
 def make_plane_tangents(normal: Vector, along: Vector | None) -> tuple[Vector, Vector]:
@@ -217,7 +224,7 @@ def make_plane_tangents(normal: Vector, along: Vector | None) -> tuple[Vector, V
     n = np.array([float(one.value) for one in normal])
     usual = np.array([0.0, 1, 0]) if abs(n[1]) < 0.5 else np.array([0.0, 0, 1])
     usual = usual - n * (n @ usual)
-    usual = known_vector(usual / np.linalg.norm(usual))
+    usual = constant_vector(usual / np.linalg.norm(usual))
     if along is None:
         return usual, normal.cross(usual)
     flat = along - normal * normal.dot(along)
@@ -246,7 +253,7 @@ class ContactNumbers(NamedTuple):
 
 
 def apply_contact_law(
-    numbers: ModelNumbers,
+    numbers: ModelFieldValues,
     geoms: tuple[np.ndarray, np.ndarray],
     bodies: tuple[np.ndarray, np.ndarray],
     distance: Scalar,
@@ -272,7 +279,7 @@ def apply_contact_law(
         inverse = inverse * (1 + friction * friction) * (2 * friction * friction / impratio)
     impedance = compute_impedance(law, distance - margin)
     weight = where(distance < margin, impedance / (inverse * (1 - impedance)), ZERO)
-    speed = contact_components(frame, *motion, dim)
+    speed = contact_frame_components(frame, *motion, dim)
     wanted = -(speed[0] * law.damping) - law.stiffness * impedance * (distance - margin)
     others = tuple(-(one * law.damping) for one in speed[1:])
     regular = friction / square_root(impratio)
@@ -280,9 +287,9 @@ def apply_contact_law(
 
 
 def make_ground_contacts(
-    numbers: ModelNumbers,
+    numbers: ModelFieldValues,
     ground: int,
-    point: CandidatePoint,
+    point: ContactCandidate,
     distance: Scalar,
     at: Vector,
     frame: tuple[Vector, Vector, Vector],
@@ -323,7 +330,7 @@ def describe_contact_law(
     Raises:
         InputError: They differ in one of these.
     """
-    pairs, winner = find_pair_ids(model, geoms, others), 0
+    pairs, winner = find_contact_pair_ids(model, geoms, others), 0
     if pairs is not None:
         dims = model.pair_dim[pairs]
     else:
@@ -340,7 +347,7 @@ def describe_contact_law(
 
 
 def _find_law(
-    numbers: ModelNumbers, geoms: np.ndarray, others: np.ndarray
+    numbers: ModelFieldValues, geoms: np.ndarray, others: np.ndarray
 ) -> tuple[ConstraintLaw, list[Scalar], Scalar]:
     """Law of the contacts of geoms with others, friction of each dimension after the first, and margin (m)."""
     pairs, winner, dim = describe_contact_law(numbers.model, geoms, others)
@@ -354,7 +361,7 @@ def _find_law(
     return law, [friction[k] for k in chosen], find_contact_margin(numbers, geoms, others)
 
 
-def contact_components(frame: Any, linear: Vector, angular: Vector, dim: int) -> tuple[Scalar, ...]:
+def contact_frame_components(frame: Any, linear: Vector, angular: Vector, dim: int) -> tuple[Scalar, ...]:
     """Return the components of linear and angular motion along the axes of a contact's frame.
 
     Args:
@@ -369,7 +376,7 @@ def contact_components(frame: Any, linear: Vector, angular: Vector, dim: int) ->
     return tuple(frame[k % len(frame)].dot(linear if k < len(frame) else angular) for k in range(dim))
 
 
-def find_contact_margin(numbers: ModelNumbers, geoms: np.ndarray, others: np.ndarray) -> Scalar:
+def find_contact_margin(numbers: ModelFieldValues, geoms: np.ndarray, others: np.ndarray) -> Scalar:
     """Return the distance (m) below which geoms and others push: that of explicit pairs, or the sum of their margins.
 
     Args:
@@ -377,14 +384,14 @@ def find_contact_margin(numbers: ModelNumbers, geoms: np.ndarray, others: np.nda
         geoms: Ids (n,) of the geoms.
         others: Ids (n,) or (1,) of the other geoms.
     """
-    pairs = find_pair_ids(numbers.model, geoms, others)
+    pairs = find_contact_pair_ids(numbers.model, geoms, others)
     if pairs is not None:
         return numbers.get("pair_margin", pairs)
     return numbers.get("geom_margin", geoms) + numbers.get("geom_margin", others)
 
 
 def _mix(
-    numbers: ModelNumbers, geoms: np.ndarray, others: np.ndarray, winner: int
+    numbers: ModelFieldValues, geoms: np.ndarray, others: np.ndarray, winner: int
 ) -> tuple[ConstraintLaw, list[Scalar]]:
     """Law and friction (sliding, torsional, rolling) of two geoms: of the one of higher priority, or mixed."""
     each = (numbers.get("geom_solmix", geoms), numbers.get("geom_solmix", others))
@@ -410,11 +417,11 @@ def _mix(
     ]
 
 
-def make_constraint_law(numbers: ModelNumbers, reference: list[Scalar], impedance: list[Scalar]) -> ConstraintLaw:
+def make_constraint_law(numbers: ModelFieldValues, reference: list[Scalar], impedance: list[Scalar]) -> ConstraintLaw:
     """Make stiffness, damping and impedance of a constraint from MuJoCo's `solref` and `solimp`."""
     least, top, middle = (clip(impedance[k], 1e-4, 0.9999) for k in (0, 1, 3))
     width, power = largest(impedance[2], TINY), impedance[4]
-    if not (middle.is_known and power.is_known and reference[0].is_known):
+    if not (middle.is_constant and power.is_constant and reference[0].is_constant):
         raise unsupported_model_error(
             "time constants, or midpoints and powers of impedance, that differ between rollouts"
         )
@@ -447,13 +454,15 @@ def compute_impedance(law: ConstraintLaw, depth: Scalar) -> Scalar:
     return least + y * (top - least)
 
 
-def find_joint_rows(layout: RobotLayout, numbers: ModelNumbers, state: RobotState) -> list[JointRow]:
+def compute_joint_constraints(
+    layout: RobotLayout, numbers: ModelFieldValues, state: RobotState
+) -> list[JointConstraint]:
     """Compute the constraints of all joints that have range limits or friction."""
     model, found = numbers.model, _find_base_friction(layout, numbers, state)
     for joint in layout.joints:
         ids = layout.stacks[joint[0]].joints[joint[1]]
         dofs, rate = model.jnt_dofadr[ids], state.rates[joint]
-        if numbers.is_used("dof_frictionloss", dofs):
+        if numbers.may_be_nonzero("dof_frictionloss", dofs):
             found.append(_friction_row(numbers, joint, dofs, rate))
         limited = model.jnt_limited[ids].astype(bool)
         if limited.any():
@@ -470,29 +479,29 @@ def find_joint_rows(layout: RobotLayout, numbers: ModelNumbers, state: RobotStat
             inverse = numbers.get("dof_invweight0", dofs)
             weight = where(depth < margin, impedance / (inverse * (1 - impedance)), ZERO)
             wanted = -(side * rate) * law.damping - law.stiffness * impedance * (depth - margin)
-            found.append(JointRow(joint, side, weight, wanted, None))
+            found.append(JointConstraint(joint, side, weight, wanted, None))
     return found
 
 
 def _friction_row(
-    numbers: ModelNumbers,
+    numbers: ModelFieldValues,
     joint: tuple[int, int],
     dofs: np.ndarray,
     rate: Scalar,
     direction: SpatialVector | None = None,
-) -> JointRow:
+) -> JointConstraint:
     """Friction of degrees of freedom (n,) that move at a rate."""
     law = _joint_law(numbers, "dof", dofs)
     least = law.impedance[0]
     weight = least / (numbers.get("dof_invweight0", dofs) * (1 - least))
     most = numbers.get("dof_frictionloss", dofs)
-    return JointRow(joint, ONE, weight, -(rate * law.damping), most, direction)
+    return JointConstraint(joint, ONE, weight, -(rate * law.damping), most, direction)
 
 
-def _find_base_friction(layout: RobotLayout, numbers: ModelNumbers, state: RobotState) -> list[JointRow]:
+def _find_base_friction(layout: RobotLayout, numbers: ModelFieldValues, state: RobotState) -> list[JointConstraint]:
     """Friction of the free joint: along the world's axes, and about the base's."""
-    dofs = layout.free_dofs(numbers.model)
-    if not len(dofs) or not numbers.is_used("dof_frictionloss", dofs):
+    dofs = layout.base_dof_indices(numbers.model)
+    if not len(dofs) or not numbers.may_be_nonzero("dof_frictionloss", dofs):
         return []
     found = []
     for k, axis in enumerate((*UPRIGHT, *quaternion_axes(*state.quat))):
@@ -501,25 +510,25 @@ def _find_base_friction(layout: RobotLayout, numbers: ModelNumbers, state: Robot
     return found
 
 
-def _joint_law(numbers: ModelNumbers, kind: str, ids: np.ndarray) -> ConstraintLaw:
+def _joint_law(numbers: ModelFieldValues, kind: str, ids: np.ndarray) -> ConstraintLaw:
     reference = [numbers.get(f"{kind}_solref", ids, k) for k in range(2)]
     return make_constraint_law(numbers, reference, [numbers.get(f"{kind}_solimp", ids, k) for k in range(5)])
 
 
-class Curve(NamedTuple):
+class ContactHessian(NamedTuple):
     """Second derivative (Hessian) of a contact's cost: force and moment per unit of motion, world axes."""
 
-    linear: Symmetric  # force by linear motion
+    linear: SymmetricMatrix  # force by linear motion
     mixed: tuple[Vector, Vector, Vector] | None  # force by angular motion, by rows; None for condim 1 and 3
-    angular: Symmetric  # moment by angular motion
+    angular: SymmetricMatrix  # moment by angular motion
 
-    def member(self, k: int) -> "Curve":
+    def stack_member(self, k: int) -> "ContactHessian":
         """Return the second derivative of contact `k` of a row."""
-        first, second = (Symmetric(*(x.member(k) for x in one)) for one in (self.linear, self.angular))
-        mixed = None if self.mixed is None else tuple(row.member(k) for row in self.mixed)
-        return Curve(first, mixed, second)  # pyright: ignore[reportArgumentType]
+        first, second = (SymmetricMatrix(*(x.stack_member(k) for x in one)) for one in (self.linear, self.angular))
+        mixed = None if self.mixed is None else tuple(row.stack_member(k) for row in self.mixed)
+        return ContactHessian(first, mixed, second)  # pyright: ignore[reportArgumentType]
 
-    def push(self, motion: SpatialVector) -> SpatialVector:
+    def multiply_motion(self, motion: SpatialVector) -> SpatialVector:
         """Return the product of the Hessian and a motion of the contact: force and moment."""
         force = self.linear @ motion.linear
         if self.mixed is None:
@@ -594,7 +603,7 @@ def contact_force(contact: GroundContacts, residual: tuple[Scalar, ...], is_elli
     return tuple(where(cone.sticks, a, where(cone.is_open, ZERO, b)) for a, b in zip(stick, slide, strict=True))
 
 
-def contact_curve(contact: GroundContacts, residual: tuple[Scalar, ...], is_elliptic: bool) -> Curve:
+def contact_cost_hessian(contact: GroundContacts, residual: tuple[Scalar, ...], is_elliptic: bool) -> ContactHessian:
     """Return the second derivative (Hessian) of the cost of contacts with respect to their motion."""
     weight, dim = contact.weight, contact.dim
     lower = [[ZERO] * (i + 1) for i in range(dim)]  # in the contact's frame
@@ -627,7 +636,7 @@ def contact_curve(contact: GroundContacts, residual: tuple[Scalar, ...], is_elli
     return _curve_in_world(contact.frame, lower)
 
 
-def _curve_in_world(frame: tuple[Vector, Vector, Vector], lower: list[list[Scalar]]) -> Curve:
+def _curve_in_world(frame: tuple[Vector, Vector, Vector], lower: list[list[Scalar]]) -> ContactHessian:
     """Turn a matrix of the contact's frame, given by its lower triangle, to the world's axes."""
     dim = len(lower)
 
@@ -642,11 +651,11 @@ def _curve_in_world(frame: tuple[Vector, Vector, Vector], lower: list[list[Scala
         return found
 
     forces, moments = range(min(dim, 3)), range(3, dim)
-    linear = as_symmetric(block(forces, forces))
+    linear = as_symmetric_matrix(block(forces, forces))
     if dim <= 3:
-        return Curve(linear, None, NO_MATRIX)
+        return ContactHessian(linear, None, NO_MATRIX)
     mixed = block(forces, moments)
-    return Curve(linear, (mixed[0], mixed[1], mixed[2]), as_symmetric(block(moments, moments)))
+    return ContactHessian(linear, (mixed[0], mixed[1], mixed[2]), as_symmetric_matrix(block(moments, moments)))
 
 
 def _edges(contact: GroundContacts, residual: tuple[Scalar, ...]) -> list[tuple[Scalar, Scalar]]:
@@ -655,7 +664,7 @@ def _edges(contact: GroundContacts, residual: tuple[Scalar, ...]) -> list[tuple[
     return [(residual[0] + one, residual[0] - one) for one in scaled]
 
 
-class ContactLine(NamedTuple):
+class LineSearchCost(NamedTuple):
     """Cost of contacts along a search direction, for the line search of the constraint solver."""
 
     contact: GroundContacts
@@ -663,7 +672,7 @@ class ContactLine(NamedTuple):
     normal: tuple[Scalar, Scalar] | None  # of an elliptic cone, scaled: at the start, and its change
     slip: tuple[Scalar, Scalar, Scalar] | None  # square of the slip by the powers of the length, half of the middle one
 
-    def slopes(self, length: Scalar) -> tuple[Scalar, Scalar]:
+    def derivatives(self, length: Scalar) -> tuple[Scalar, Scalar]:
         """Return first and second derivative of the cost at a step length along the search direction."""
         first, second, weight = ZERO, ZERO, self.contact.weight
         if self.normal is None or self.slip is None:
@@ -688,23 +697,23 @@ class ContactLine(NamedTuple):
         return first, where(sticks, bend, where(is_open, ZERO, slides))
 
 
-def contact_cost_line(
+def make_line_search_cost(
     contact: GroundContacts, residual: tuple[Scalar, ...], change: tuple[Scalar, ...], is_elliptic: bool
-) -> ContactLine:
+) -> LineSearchCost:
     """Return the cost of contacts along a search direction, which changes their residuals by `change` per unit."""
     if contact.dim == 1:
-        return ContactLine(contact, [(residual[0], change[0])], None, None)
+        return LineSearchCost(contact, [(residual[0], change[0])], None, None)
     if not is_elliptic:
         starts, changes = _edges(contact, residual), _edges(contact, change)
         edges = [pair for both in zip(starts, changes, strict=True) for pair in zip(*both, strict=True)]
-        return ContactLine(contact, edges, None, None)
+        return LineSearchCost(contact, edges, None, None)
     a, b = ([x * friction for x, friction in zip(one[1:], contact.friction, strict=True)] for one in (residual, change))
     products = [sum((x * y for x, y in zip(*pair, strict=True)), ZERO) for pair in ((a, a), (a, b), (b, b))]
     normal = residual[0] * contact.regular, change[0] * contact.regular
-    return ContactLine(contact, [], normal, (products[0], products[1], products[2]))
+    return LineSearchCost(contact, [], normal, (products[0], products[1], products[2]))
 
 
-def joint_row_force(row: JointRow, residual: Scalar) -> tuple[Scalar, Scalar]:
+def joint_constraint_force(row: JointConstraint, residual: Scalar) -> tuple[Scalar, Scalar]:
     """Return the force of a joint's limit or friction constraint, and the second derivative of its cost."""
     if row.most is None:
         inside = residual < ZERO
@@ -719,5 +728,5 @@ def contact_wrench(contact: GroundContacts, force: tuple[Scalar, ...]) -> Spatia
     parts = [NOTHING, NOTHING]
     for k, one in enumerate(force):
         parts[k // 3] = parts[k // 3] + contact.frame[k % 3] * one
-    wrench = wrench_at(contact.at, parts[0])
+    wrench = point_force_wrench(contact.at, parts[0])
     return wrench if contact.dim <= 3 else SpatialVector(wrench.linear, wrench.angular + parts[1])

@@ -6,7 +6,7 @@ are eliminated one by one, in an order that keeps the matrix as sparse as the mo
 
 from typing import Any
 
-from sweep.systems.mujoco_model.kernel.constraints import Curve
+from sweep.systems.mujoco_model.kernel.constraints import ContactHessian
 from sweep.systems.mujoco_model.kernel.layout import RobotLayout
 from sweep.systems.mujoco_model.kernel.pairs import (
     BodyMember,
@@ -51,7 +51,7 @@ def sum_wrenches_by_stack(
     for bodies, sign in zip(contact.row.bodies, (-1.0, 1.0), strict=True):
         for k, body in enumerate(bodies):
             if contact.row.real[k]:
-                part = SpatialVector(*(one.member(k) * sign for one in wrench))
+                part = SpatialVector(*(one.stack_member(k) * sign for one in wrench))
                 found[body] = found.get(body, STILL) + part
     stacks = {}
     for s, _ in found:
@@ -87,16 +87,16 @@ class CoupledSystem:
         for joint in layout.joints:
             for member in range(layout.stacks[joint[0]].n):
                 for one, x in zip(self._base, side[joint], strict=True):
-                    self._add(one, (joint, member), x.member(member))
+                    self._add(one, (joint, member), x.stack_member(member))
                 for inner in moving_members(layout, (joint[0], member)):
                     if (inner[0], joint) in entries:
-                        self._add(inner, (joint, member), entries[inner[0], joint].member(member))
+                        self._add(inner, (joint, member), entries[inner[0], joint].stack_member(member))
 
     def _add(self, one: Any, other: Any, number: Scalar) -> None:
         key = frozenset((one, other))
         self._matrix[key] = self._matrix.get(key, ZERO) + number
 
-    def add_contacts(self, smooth: SmoothTerms, contact: PairContacts, curve: Curve) -> None:
+    def add_contacts(self, smooth: SmoothTerms, contact: PairContacts, curve: ContactHessian) -> None:
         """Add the second derivatives of the costs of a row of pairs.
 
         Args:
@@ -109,14 +109,14 @@ class CoupledSystem:
                 continue
             bodies = contact.row.bodies[0][k], contact.row.bodies[1][k]
             self._couplings.append(bodies)
-            at, own = contact.at.member(k), curve.member(k)
+            at, own = contact.at.stack_member(k), curve.stack_member(k)
             moved: list[tuple[JointMember, SpatialVector]] = []
             for members, sign in zip(joints_between(self._layout, bodies), (-1.0, 1.0), strict=True):
                 for joint, member in members:
-                    motion = SpatialVector(*(one.member(member) for one in smooth.motions[joint]))
+                    motion = SpatialVector(*(one.stack_member(member) for one in smooth.motions[joint]))
                     linear = motion.velocity_at(at) * sign
                     moved.append(((joint, member), SpatialVector(linear, motion.angular * sign)))
-            pushed = [own.push(one) for _, one in moved]
+            pushed = [own.multiply_motion(one) for _, one in moved]
             for i, (one, push) in enumerate(zip(moved, pushed, strict=True)):
                 for other in moved[: i + 1]:
                     power = push.linear.dot(other[1].linear)
@@ -128,7 +128,7 @@ class CoupledSystem:
         """Return the solution for a right side: numbers of the base and of all joints."""
         order: list[Any] = [*order_elimination(self._layout, self._couplings)[0], *self._base]
         lower = [[self._matrix.get(frozenset((a, b)), ZERO) for b in order[: i + 1]] for i, a in enumerate(order)]
-        right = [joints[one[0]].member(one[1]) for one in order[: len(order) - len(self._base)]]
+        right = [joints[one[0]].stack_member(one[1]) for one in order[: len(order) - len(self._base)]]
         found = dict(zip(order, solve_dense(lower, [*right, *base]), strict=True))
         by_joint = {
             joint: join_members([found[joint, member] for member in range(self._layout.stacks[joint[0]].n)])

@@ -10,10 +10,10 @@ import numpy as np
 
 from sweep.systems.mujoco_model.kernel.constraints import (
     TINY,
-    CandidatePoint,
+    ContactCandidate,
     GroundContacts,
     find_contact_margin,
-    locate_plane,
+    find_point_on_plane,
     make_ground_contacts,
     make_plane_tangents,
     make_tangents,
@@ -30,7 +30,7 @@ from sweep.systems.mujoco_model.kernel.layout import (
     StaticGeom,
     touches_ground,
 )
-from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
+from sweep.systems.mujoco_model.kernel.numbers import ModelFieldValues
 from sweep.systems.mujoco_model.kernel.pairs import describe_law_form, find_nearest_points
 from sweep.systems.mujoco_model.kernel.scalars import (
     NOTHING,
@@ -40,10 +40,10 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     Scalar,
     Vector,
     clip,
-    known_vector,
+    constant_vector,
     largest,
-    rotate,
-    rotate_back,
+    rotate_to_body,
+    rotate_to_world,
     smallest,
     square_root,
     where,
@@ -63,7 +63,7 @@ class Nearest(NamedTuple):
 
 
 def find_ground_contacts(
-    layout: RobotLayout, numbers: ModelNumbers, state: RobotState, smooth: SmoothTerms
+    layout: RobotLayout, numbers: ModelFieldValues, state: RobotState, smooth: SmoothTerms
 ) -> tuple[list[GroundContacts], list[Any]]:
     """Compute the contacts of cylinders and ellipsoids with planes, and of spheres and capsules with other shapes.
 
@@ -84,8 +84,10 @@ def find_ground_contacts(
             for plane in touched if kind in (CYLINDER, ELLIPSOID) else []:
                 centre, axes = _locate(numbers, smooth, s, geoms)
                 places = _cylinder_points if kind == CYLINDER else _ellipsoid_point
-                height = Vector(*(x - y for x, y in zip(state.position, locate_plane(numbers, plane), strict=True)))
-                normal = known_vector(plane.normal)
+                height = Vector(
+                    *(x - y for x, y in zip(state.position, find_point_on_plane(numbers, plane), strict=True))
+                )
+                normal = constant_vector(plane.normal)
                 frame = (normal, *make_plane_tangents(normal, None))
                 for at in places(numbers, plane, geoms, centre, axes):
                     distance = normal.dot(height + at)
@@ -107,29 +109,29 @@ def find_ground_contacts(
     return found, unsure
 
 
-def _stand_for(s: int, stack: BodyStack, geoms: np.ndarray) -> CandidatePoint:
+def _stand_for(s: int, stack: BodyStack, geoms: np.ndarray) -> ContactCandidate:
     """Say whose contacts a row has; where they are is computed apart."""
-    return CandidatePoint(s, NOTHING, NOTHING, ZERO, None, stack.bodies, geoms, np.ones(len(geoms), bool))
+    return ContactCandidate(s, NOTHING, NOTHING, ZERO, None, stack.bodies, geoms, np.ones(len(geoms), bool))
 
 
-def _locate(numbers: ModelNumbers, smooth: SmoothTerms, s: int, geoms: np.ndarray) -> tuple[Vector, Axes]:
+def _locate(numbers: ModelFieldValues, smooth: SmoothTerms, s: int, geoms: np.ndarray) -> tuple[Vector, Axes]:
     """Centres of geoms from the base's origin, and their axes."""
     place = smooth.places[s]
-    columns = numbers.rotation("geom_quat", geoms)
+    columns = numbers.get_rotation_columns("geom_quat", geoms)
     axes = place.axes
     if columns is not None:
-        axes = rotate(axes, columns[0]), rotate(axes, columns[1]), rotate(axes, columns[2])
-    return place.origin + rotate(place.axes, numbers.vector("geom_pos", geoms)), axes
+        axes = rotate_to_world(axes, columns[0]), rotate_to_world(axes, columns[1]), rotate_to_world(axes, columns[2])
+    return place.origin + rotate_to_world(place.axes, numbers.get_vector("geom_pos", geoms)), axes
 
 
 def _cylinder_points(
-    numbers: ModelNumbers, plane: CollisionPlane, geoms: np.ndarray, centre: Vector, axes: Axes
+    numbers: ModelFieldValues, plane: CollisionPlane, geoms: np.ndarray, centre: Vector, axes: Axes
 ) -> list[Vector]:
     """The four points of a cylinder that MuJoCo lets touch a plane: the lowest of each end, and two more of the lower.
 
     The three of the lower end make a triangle.
     """
-    normal = known_vector(plane.normal)
+    normal = constant_vector(plane.normal)
     radius, half = (numbers.get("geom_size", geoms, k) for k in range(2))
     side = where(normal.dot(axes[2]) > ZERO, -ONE, ONE)
     axis = axes[2] * side  # towards the plane
@@ -147,17 +149,17 @@ def _cylinder_points(
 
 
 def _ellipsoid_point(
-    numbers: ModelNumbers, plane: CollisionPlane, geoms: np.ndarray, centre: Vector, axes: Axes
+    numbers: ModelFieldValues, plane: CollisionPlane, geoms: np.ndarray, centre: Vector, axes: Axes
 ) -> list[Vector]:
     """The lowest point of an ellipsoid."""
     size = [numbers.get("geom_size", geoms, k) for k in range(3)]
-    local = rotate_back(axes, known_vector(plane.normal))
+    local = rotate_to_body(axes, constant_vector(plane.normal))
     scaled = Vector(*(a * b for a, b in zip(local, size, strict=True)))
     inverse = 1 / square_root(scaled.dot(scaled))
-    return [centre - rotate(axes, Vector(*(a * b * inverse for a, b in zip(scaled, size, strict=True))))]
+    return [centre - rotate_to_world(axes, Vector(*(a * b * inverse for a, b in zip(scaled, size, strict=True))))]
 
 
-def _find_alike(layout: RobotLayout, numbers: ModelNumbers, geoms: np.ndarray) -> list[list[StaticGeom]]:
+def _find_alike(layout: RobotLayout, numbers: ModelFieldValues, geoms: np.ndarray) -> list[list[StaticGeom]]:
     """Shapes of the world that geoms may touch, those with the same law of contacts together."""
     model, found = numbers.model, {}
     for one in layout.static_geoms:
@@ -170,7 +172,7 @@ def _find_alike(layout: RobotLayout, numbers: ModelNumbers, geoms: np.ndarray) -
 
 
 def _find_nearest(
-    numbers: ModelNumbers,
+    numbers: ModelFieldValues,
     state: RobotState,
     smooth: SmoothTerms,
     s: int,
@@ -183,12 +185,12 @@ def _find_nearest(
     centre, axes = _locate(numbers, smooth, s, geoms)
     radius = numbers.get("geom_size", geoms, 0)
     is_moved = model.geom_bodyid[ground.geom] == 0 and numbers.is_varied("geom_pos", ids)
-    place = numbers.vector("geom_pos", ids) if is_moved else known_vector(ground.position)
+    place = numbers.get_vector("geom_pos", ids) if is_moved else constant_vector(ground.position)
     place = place - state.position
-    own = known_vector(ground.axes[:, 0]), known_vector(ground.axes[:, 1]), known_vector(ground.axes[:, 2])
+    own = constant_vector(ground.axes[:, 0]), constant_vector(ground.axes[:, 1]), constant_vector(ground.axes[:, 2])
     size = [numbers.get("geom_size", ids, k) for k in range(3)]
     if ground.kind == BOX:
-        return _nearest_of_box(rotate_back(own, centre - place), radius, size, place, own)
+        return _nearest_of_box(rotate_to_body(own, centre - place), radius, size, place, own)
     along = [
         None if kind == SPHERE else axis * length
         for kind, axis, length in (
@@ -228,11 +230,11 @@ def _nearest_of_box(centre: Vector, radius: Scalar, size: list[Scalar], place: V
     distance = where(is_outside, length, -depth) - radius
     # from the centre half way between the sphere's lowest point and the box's surface
     at = centre - normal * (radius + distance * 0.5)
-    return Nearest(distance, place + rotate(axes, at), rotate(axes, normal))
+    return Nearest(distance, place + rotate_to_world(axes, at), rotate_to_world(axes, normal))
 
 
 def _select_nearest(
-    every: list[Nearest], unsure: list[Any], numbers: ModelNumbers, geoms: np.ndarray, ground: int
+    every: list[Nearest], unsure: list[Any], numbers: ModelFieldValues, geoms: np.ndarray, ground: int
 ) -> list[Nearest]:
     """The nearest of several places, at most `AT_ONCE`."""
     if len(every) <= AT_ONCE:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool
 
 from sweep.systems.mujoco_model.geom_pairs import find_geom_pairs
-from sweep.systems.mujoco_model.kernel.constraints import locate_plane
+from sweep.systems.mujoco_model.kernel.constraints import find_point_on_plane
 from sweep.systems.mujoco_model.kernel.layout import (
     BOX,
     CAPSULE,
@@ -23,18 +23,18 @@ from sweep.systems.mujoco_model.kernel.layout import (
     RobotLayout,
     find_stack_of_body,
 )
-from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
+from sweep.systems.mujoco_model.kernel.numbers import ModelFieldValues
 from sweep.systems.mujoco_model.kernel.pairs import find_simulated_pairs
 from sweep.systems.mujoco_model.kernel.scalars import (
     ZERO,
     Scalar,
     Vector,
     clip,
+    constant_vector,
     join_vectors,
-    known_vector,
     largest,
-    rotate,
-    rotate_back,
+    rotate_to_body,
+    rotate_to_world,
     rotation_matrix,
     smallest,
     square_root,
@@ -58,7 +58,7 @@ class EnclosingHull(NamedTuple):
     is_box: bool
 
 
-def find_unsimulated_pairs(layout: RobotLayout, model: mujoco.MjModel) -> list[tuple[int, int]]:
+def find_unsimulated_geom_pairs(layout: RobotLayout, model: mujoco.MjModel) -> list[tuple[int, int]]:
     """Return the pairs of geoms that may touch but whose contacts the kernel does not simulate."""
     simulated = {frozenset(pair) for pair in find_simulated_pairs(layout, model)}
     for one in (*layout.planes, *layout.static_geoms):
@@ -90,7 +90,7 @@ def enclose_geom(layout: RobotLayout, model: mujoco.MjModel, geom: int) -> Enclo
     return EnclosingHull(stack, member, place + axes @ box[:3], axes, box[3:].copy(), True)
 
 
-def as_capsule(hull: EnclosingHull) -> EnclosingHull:
+def enclose_in_capsule(hull: EnclosingHull) -> EnclosingHull:
     """Return a capsule that encloses a box."""
     if not hull.is_box:
         return hull
@@ -100,7 +100,7 @@ def as_capsule(hull: EnclosingHull) -> EnclosingHull:
 
 
 def has_near_pair(
-    layout: RobotLayout, numbers: ModelNumbers, state: RobotState, smooth: SmoothTerms, pairs: list[tuple[int, int]]
+    layout: RobotLayout, numbers: ModelFieldValues, state: RobotState, smooth: SmoothTerms, pairs: list[tuple[int, int]]
 ) -> Bool[Array, ""]:
     """Return whether any of the given pairs of geoms touches or nearly touches in a state.
 
@@ -109,7 +109,7 @@ def has_near_pair(
         numbers: Numbers of the rollout's model.
         state: State of the robot.
         smooth: Kinematics of the state.
-        pairs: Geoms, see `find_unsimulated_pairs`.
+        pairs: Geoms, see `find_unsimulated_geom_pairs`.
     """
     model, near = numbers.model, jnp.asarray(False)
     planes = {plane.geom: plane for plane in layout.planes}
@@ -121,9 +121,9 @@ def has_near_pair(
             kinds["plane"].append((enclose_geom(layout, model, b), planes[a]))
             continue
         one, other = enclose_geom(layout, model, a), enclose_geom(layout, model, b)
-        if other.is_box and not (one.is_box and as_capsule(one).size[0] > as_capsule(other).size[0]):
+        if other.is_box and not (one.is_box and enclose_in_capsule(one).size[0] > enclose_in_capsule(other).size[0]):
             one, other = other, one  # the capsule about the smaller box encloses less beside it
-        kinds["box" if one.is_box else "capsule"].append((one, as_capsule(other)))
+        kinds["box" if one.is_box else "capsule"].append((one, enclose_in_capsule(other)))
     for name, found in kinds.items():
         for first in range(0, len(found), layout.group):
             row = found[first : first + layout.group]
@@ -140,23 +140,23 @@ def _placed(
     every: list[list[Vector]] = []
     for hull in hulls:
         if hull.stack == WORLD:
-            own = [known_vector(hull.axes[:, k]) for k in range(3)]
-            every.append([known_vector(hull.place) - state.position, *own])
+            own = [constant_vector(hull.axes[:, k]) for k in range(3)]
+            every.append([constant_vector(hull.place) - state.position, *own])
             continue
         place = smooth.places[hull.stack]
-        x, y, z = (one.member(hull.member) for one in place.axes)
-        columns = [rotate((x, y, z), known_vector(hull.axes[:, k])) for k in range(3)]
-        origin = place.origin.member(hull.member) + rotate((x, y, z), known_vector(hull.place))
+        x, y, z = (one.stack_member(hull.member) for one in place.axes)
+        columns = [rotate_to_world((x, y, z), constant_vector(hull.axes[:, k])) for k in range(3)]
+        origin = place.origin.stack_member(hull.member) + rotate_to_world((x, y, z), constant_vector(hull.place))
         every.append([origin, *columns])
     joined = [join_vectors([one[k] for one in every]) for k in range(4)]
     sizes = [Scalar(np.array([hull.size[k] for hull in hulls])) for k in range(3)]
     return joined[0], joined[1:], sizes
 
 
-def _plane_distance(numbers: ModelNumbers, state: RobotState, smooth: SmoothTerms, row: list[Any]) -> Scalar:
+def _plane_distance(numbers: ModelFieldValues, state: RobotState, smooth: SmoothTerms, row: list[Any]) -> Scalar:
     """Height (n,) of the lowest point of each hull above its plane."""
     place, axes, size = _placed(state, smooth, [hull for hull, _ in row])
-    places = [locate_plane(numbers, plane) for _, plane in row]
+    places = [find_point_on_plane(numbers, plane) for _, plane in row]
     start = join_vectors(places)
     normal = Vector(*(Scalar(np.array([plane.normal[k] for _, plane in row])) for k in range(3)))
     height = normal.dot(state.position + place - start)
@@ -170,7 +170,7 @@ def _absolute(number: Scalar) -> Scalar:
     return largest(number, -number)
 
 
-def _box_distance(numbers: ModelNumbers, state: RobotState, smooth: SmoothTerms, row: list[Any]) -> Scalar:
+def _box_distance(numbers: ModelFieldValues, state: RobotState, smooth: SmoothTerms, row: list[Any]) -> Scalar:
     """Lower bound (n,) of the distance of each capsule from its box.
 
     The distance is computed at some places along the capsule, and reduced by half the gap between them.
@@ -179,7 +179,7 @@ def _box_distance(numbers: ModelNumbers, state: RobotState, smooth: SmoothTerms,
     place, axes, size = _placed(state, smooth, boxes)
     middle, along, capsule = _placed(state, smooth, capsules)
     frame = axes[0], axes[1], axes[2]
-    arm, way = rotate_back(frame, middle - place), rotate_back(frame, along[2] * capsule[1])
+    arm, way = rotate_to_body(frame, middle - place), rotate_to_body(frame, along[2] * capsule[1])
     nearest = Scalar(1e3)
     for share in SAMPLES:
         point = arm + way * float(share)
@@ -191,7 +191,7 @@ def _box_distance(numbers: ModelNumbers, state: RobotState, smooth: SmoothTerms,
     return nearest - capsule[0] - capsule[1] * gap
 
 
-def _capsule_distance(numbers: ModelNumbers, state: RobotState, smooth: SmoothTerms, row: list[Any]) -> Scalar:
+def _capsule_distance(numbers: ModelFieldValues, state: RobotState, smooth: SmoothTerms, row: list[Any]) -> Scalar:
     """Distance (n,) of two capsules: that of their axes' segments less both radii."""
     place, axes, size = _placed(state, smooth, [pair[0] for pair in row])
     middle, others, other = _placed(state, smooth, [pair[1] for pair in row])

@@ -91,7 +91,7 @@ class RobotLayout(NamedTuple):
     planes: tuple[CollisionPlane, ...]
     static_geoms: tuple[StaticGeom, ...]
 
-    def free_dofs(self, model: mujoco.MjModel) -> np.ndarray:
+    def base_dof_indices(self, model: mujoco.MjModel) -> np.ndarray:
         """Return the indices (6,) of the base's free degrees of freedom, linear then angular; (0,) for a fixed base."""
         if not self.has_free_base:
             return np.zeros(0, int)
@@ -104,9 +104,9 @@ class RobotLayout(NamedTuple):
 
     def moving_joints(self, stack: int) -> list[tuple[int, int]]:
         """Return the joints between the base and the bodies of a stack, from the base outward."""
-        return [(s, k) for s in self.ancestors(stack) for k in range(len(self.stacks[s].joints))]
+        return [(s, k) for s in self.ancestor_stacks(stack) for k in range(len(self.stacks[s].joints))]
 
-    def ancestors(self, stack: int) -> list[int]:
+    def ancestor_stacks(self, stack: int) -> list[int]:
         """Return the indices of the stacks on the way from the base to `stack`, the last of them."""
         found = [stack]
         while self.stacks[found[0]].parent >= 0:
@@ -230,7 +230,7 @@ def _may_collide(model: mujoco.MjModel) -> np.ndarray:
     return by_type | np.isin(np.arange(model.ngeom), [model.pair_geom1, model.pair_geom2])
 
 
-def find_pair_ids(model: mujoco.MjModel, geoms: np.ndarray, others: np.ndarray) -> np.ndarray | None:
+def find_contact_pair_ids(model: mujoco.MjModel, geoms: np.ndarray, others: np.ndarray) -> np.ndarray | None:
     """Return the ids of the explicit MuJoCo contact pairs between geoms and others.
 
     Args:
@@ -257,7 +257,7 @@ def find_pair_ids(model: mujoco.MjModel, geoms: np.ndarray, others: np.ndarray) 
 def touches_ground(model: mujoco.MjModel, geom: int, ground: int) -> bool:
     """Return whether a geom and one of the world may touch, by type or by an explicit pair."""
     excluded = (min(bodies := model.geom_bodyid[[geom, ground]].tolist()) << 16) + max(bodies)
-    if find_pair_ids(model, np.array([geom]), np.array([ground])) is not None:
+    if find_contact_pair_ids(model, np.array([geom]), np.array([ground])) is not None:
         return True
     return bool(may_touch(model, geom, ground)) and excluded not in model.exclude_signature
 

@@ -10,7 +10,7 @@ from sweep.systems.mujoco_model import fields
 from sweep.systems.mujoco_model.kernel.scalars import Scalar, Vector, largest, quaternion_axes, rotation_matrix
 
 
-class ModelNumbers:
+class ModelFieldValues:
     """Access to the numbers of one rollout's model: constants, or values that differ between the rollouts of a batch.
 
     Args:
@@ -42,15 +42,15 @@ class ModelNumbers:
         """Return whether elements of a model field, given by an index of its array, differ between rollouts."""
         return name in self._varied and bool(np.any(self._varied[name][place]))
 
-    def vector(self, name: str, ids: np.ndarray | None = None) -> Vector:
+    def get_vector(self, name: str, ids: np.ndarray | None = None) -> Vector:
         """Return the first three numbers of a model field for some elements as a vector."""
         return Vector(*(self.get(name, ids, k) for k in range(3)))
 
-    def is_used(self, name: str, ids: np.ndarray) -> bool:
+    def may_be_nonzero(self, name: str, ids: np.ndarray) -> bool:
         """Return whether a model field may have a number other than 0 for some elements."""
         return self.is_varied(name, ids) or bool(np.any(fields.field_values(self.model, name)[ids]))
 
-    def rotation(self, name: str, ids: np.ndarray) -> tuple[Vector, Vector, Vector] | None:
+    def get_rotation_columns(self, name: str, ids: np.ndarray) -> tuple[Vector, Vector, Vector] | None:
         """Return the columns of the rotation matrices of quaternions in a model field; None if they do not rotate."""
         if self.is_varied(name, ids):
             w, x, y, z = (self.get(name, ids, k) for k in range(4))
@@ -73,6 +73,6 @@ def raise_to_power(base: Scalar, exponent: float) -> Scalar:
         for _ in range(int(exponent) - 1):
             found = found * base
         return found
-    if base.is_known:
+    if base.is_constant:
         return Scalar(np.power(base.value, exponent))
     return Scalar(largest(base, 1e-30).value ** exponent)

@@ -16,8 +16,14 @@ from sweep.systems.mujoco_model.kernel.constraints import (
     describe_contact_law,
     make_tangents,
 )
-from sweep.systems.mujoco_model.kernel.layout import CAPSULE, SPHERE, RobotLayout, find_pair_ids, find_stack_of_body
-from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
+from sweep.systems.mujoco_model.kernel.layout import (
+    CAPSULE,
+    SPHERE,
+    RobotLayout,
+    find_contact_pair_ids,
+    find_stack_of_body,
+)
+from sweep.systems.mujoco_model.kernel.numbers import ModelFieldValues
 from sweep.systems.mujoco_model.kernel.scalars import (
     ONE,
     ZERO,
@@ -26,7 +32,7 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     clip,
     join_vectors,
     largest,
-    rotate,
+    rotate_to_world,
     square_root,
     where,
 )
@@ -114,7 +120,7 @@ def describe_law_form(model: mujoco.MjModel, a: int, b: int) -> tuple:
     """
     both = np.array([a]), np.array([b])
     _, winner, dim = describe_contact_law(model, *both)
-    pairs = find_pair_ids(model, *both)
+    pairs = find_contact_pair_ids(model, *both)
     if pairs is not None:
         return dim, *model.pair_solref[pairs[0]].tolist(), *model.pair_solimp[pairs[0]].tolist()
     fields = model.geom_solmix, model.geom_solref, model.geom_solimp
@@ -188,21 +194,22 @@ def count_operations(layout: RobotLayout, pairs: list[tuple[tuple[BodyMember, Bo
     return total
 
 
-def find_pair_contacts(layout: RobotLayout, numbers: ModelNumbers, smooth: SmoothTerms) -> list[PairContacts]:
+def find_pair_contacts(layout: RobotLayout, numbers: ModelFieldValues, smooth: SmoothTerms) -> list[PairContacts]:
     """Compute the contacts of the robot's geoms with one another in a state; geoms apart have zero weight."""
     return [_find_row_contacts(numbers, smooth, row) for row in find_pair_rows(layout, numbers.model)]
 
 
-def _find_row_contacts(numbers: ModelNumbers, smooth: SmoothTerms, row: PairRow) -> PairContacts:
+def _find_row_contacts(numbers: ModelFieldValues, smooth: SmoothTerms, row: PairRow) -> PairContacts:
     model, places, along = numbers.model, [], []
     for geoms, bodies, kind in zip(row.geoms, row.bodies, row.kinds, strict=True):
         centres, axes = [], []
         for geom, (stack, member) in zip(geoms, bodies, strict=True):
             place, ids = smooth.places[stack], np.array([geom])
-            x, y, z = (one.member(member) for one in place.axes)
-            centres.append(place.origin.member(member) + rotate((x, y, z), numbers.vector("geom_pos", ids)))
-            columns = numbers.rotation("geom_quat", ids)
-            axes.append(z if columns is None else rotate((x, y, z), columns[2]))
+            x, y, z = (one.stack_member(member) for one in place.axes)
+            offset = rotate_to_world((x, y, z), numbers.get_vector("geom_pos", ids))
+            centres.append(place.origin.stack_member(member) + offset)
+            columns = numbers.get_rotation_columns("geom_quat", ids)
+            axes.append(z if columns is None else rotate_to_world((x, y, z), columns[2]))
         places.append(join_vectors(centres))
         along.append(join_vectors(axes) * numbers.get("geom_size", geoms, 1) if kind == CAPSULE else None)
     first, second, parallel = find_nearest_points(places, along)
@@ -227,7 +234,7 @@ def join_motions(
     motions: Mapping[int, SpatialVector] | Sequence[SpatialVector], bodies: tuple[BodyMember, ...]
 ) -> SpatialVector:
     """Return the motions of a row's bodies, from those of all stacks."""
-    parts = [[motions[s][k].member(m) for s, m in bodies] for k in range(2)]
+    parts = [[motions[s][k].stack_member(m) for s, m in bodies] for k in range(2)]
     return SpatialVector(join_vectors(parts[0]), join_vectors(parts[1]))
 
 

@@ -32,7 +32,7 @@ class Scalar:
         self.value = value
 
     @property
-    def is_known(self) -> bool:
+    def is_constant(self) -> bool:
         """Whether the number is a constant known at compile time."""
         return isinstance(self.value, (float, np.ndarray))
 
@@ -41,7 +41,7 @@ class Scalar:
         return isinstance(self.value, float) and self.value == number
 
     @property
-    def is_stack(self) -> bool:
+    def varies_over_stack(self) -> bool:
         """Whether the number differs between the bodies of a stack (corresponding bodies of all limbs)."""
         return getattr(self.value, "ndim", 0) == 1
 
@@ -84,7 +84,7 @@ class Scalar:
 
     def __truediv__(self, other: Operand) -> "Scalar":
         other = as_scalar(other)
-        if other.is_known:
+        if other.is_constant:
             return self * Scalar(1 / other.value)
         return Scalar(_apply(lambda a, b: a / b, self, other))
 
@@ -94,13 +94,13 @@ class Scalar:
     def __lt__(self, other: Operand) -> Any:
         return _apply(lambda a, b: a < b, self, as_scalar(other))
 
-    def member(self, k: int) -> "Scalar":
+    def stack_member(self, k: int) -> "Scalar":
         """Return the number's value for body `k` of a stack (corresponding bodies of all limbs)."""
-        return Scalar(self.value[k]) if self.is_stack else self
+        return Scalar(self.value[k]) if self.varies_over_stack else self
 
-    def total(self, n: int) -> "Scalar":
+    def sum_over_stack(self, n: int) -> "Scalar":
         """Return the sum of the number over the n bodies of a stack (corresponding bodies of all limbs)."""
-        if self.is_stack:
+        if self.varies_over_stack:
             return Scalar(self.value.sum())
         return self * n
 
@@ -115,10 +115,10 @@ def as_scalar(value: Operand) -> Scalar:
 
 def _apply(function: Callable[..., Any], *numbers: Scalar) -> Any:
     """Apply a function to values; where one is computed, known ones take its precision."""
-    computed = next((one.value for one in numbers if not one.is_known), None)
+    computed = next((one.value for one in numbers if not one.is_constant), None)
     if computed is None:
         return function(*(one.value for one in numbers))
-    return function(*(jnp.asarray(one.value, computed.dtype) if one.is_known else one.value for one in numbers))
+    return function(*(jnp.asarray(one.value, computed.dtype) if one.is_constant else one.value for one in numbers))
 
 
 def where(condition: Any, one: Operand, other: Operand) -> Scalar:
@@ -126,9 +126,9 @@ def where(condition: Any, one: Operand, other: Operand) -> Scalar:
     one, other = as_scalar(one), as_scalar(other)
     if isinstance(condition, (bool, np.bool_)):
         return one if condition else other
-    if isinstance(condition, np.ndarray) and one.is_known and other.is_known:
+    if isinstance(condition, np.ndarray) and one.is_constant and other.is_constant:
         return Scalar(np.where(condition, one.value, other.value))
-    if one.is_known and other.is_known:
+    if one.is_constant and other.is_constant:
         dtype = jnp.zeros(()).dtype
         return Scalar(jnp.where(condition, jnp.asarray(one.value, dtype), jnp.asarray(other.value, dtype)))
     return Scalar(_apply(lambda a, b: jnp.where(condition, a, b), one, other))
@@ -137,7 +137,7 @@ def where(condition: Any, one: Operand, other: Operand) -> Scalar:
 def smallest(one: Operand, other: Operand) -> Scalar:
     """Return the smaller of two numbers of the kernel's program."""
     one, other = as_scalar(one), as_scalar(other)
-    return Scalar(_apply(np.minimum if one.is_known and other.is_known else jnp.minimum, one, other))
+    return Scalar(_apply(np.minimum if one.is_constant and other.is_constant else jnp.minimum, one, other))
 
 
 def largest(one: Operand, other: Operand) -> Scalar:
@@ -153,7 +153,7 @@ def clip(number: Operand, low: Operand, high: Operand) -> Scalar:
 def square_root(number: Operand) -> Scalar:
     """Return the square root of a number of the kernel's program."""
     number = as_scalar(number)
-    return Scalar(np.sqrt(number.value) if number.is_known else jnp.sqrt(number.value))
+    return Scalar(np.sqrt(number.value) if number.is_constant else jnp.sqrt(number.value))
 
 
 class Vector(NamedTuple):
@@ -177,9 +177,9 @@ class Vector(NamedTuple):
     def __neg__(self) -> "Vector":
         return Vector(*(-a for a in self))
 
-    def member(self, k: int) -> "Vector":
+    def stack_member(self, k: int) -> "Vector":
         """Return the vector of body `k` of a stack (corresponding bodies of all limbs)."""
-        return Vector(*(one.member(k) for one in self))
+        return Vector(*(one.stack_member(k) for one in self))
 
     def dot(self, other: "Vector") -> Scalar:
         """Return the scalar product with another vector."""
@@ -197,7 +197,7 @@ class Vector(NamedTuple):
 NOTHING = Vector(ZERO, ZERO, ZERO)
 
 
-class Symmetric(NamedTuple):
+class SymmetricMatrix(NamedTuple):
     """A symmetric 3x3 matrix of numbers in the kernel's program."""
 
     xx: Scalar
@@ -207,8 +207,8 @@ class Symmetric(NamedTuple):
     xz: Scalar
     yz: Scalar
 
-    def __add__(self, other: "Symmetric") -> "Symmetric":  # pyright: ignore[reportIncompatibleMethodOverride]
-        return Symmetric(*(a + b for a, b in zip(self, other, strict=True)))
+    def __add__(self, other: "SymmetricMatrix") -> "SymmetricMatrix":  # pyright: ignore[reportIncompatibleMethodOverride]
+        return SymmetricMatrix(*(a + b for a, b in zip(self, other, strict=True)))
 
     def __matmul__(self, v: Vector) -> Vector:
         return Vector(*(row.dot(v) for row in self.rows))
@@ -219,24 +219,24 @@ class Symmetric(NamedTuple):
         return Vector(self.xx, self.xy, self.xz), Vector(self.xy, self.yy, self.yz), Vector(self.xz, self.yz, self.zz)
 
 
-NO_MATRIX = Symmetric(*[ZERO] * 6)
+NO_MATRIX = SymmetricMatrix(*[ZERO] * 6)
 
 
-def as_symmetric(rows: Sequence[Vector]) -> Symmetric:
+def as_symmetric_matrix(rows: Sequence[Vector]) -> SymmetricMatrix:
     """Convert a matrix (3, 3) that is symmetric except for rounding errors to a symmetric one."""
-    return Symmetric(rows[0].x, rows[1].y, rows[2].z, rows[1].x, rows[2].x, rows[2].y)
+    return SymmetricMatrix(rows[0].x, rows[1].y, rows[2].z, rows[1].x, rows[2].x, rows[2].y)
 
 
-def isotropic(value: Operand) -> Symmetric:
+def scaled_identity(value: Operand) -> SymmetricMatrix:
     """Return `value` times the identity matrix."""
     value = as_scalar(value)
-    return Symmetric(value, value, value, ZERO, ZERO, ZERO)
+    return SymmetricMatrix(value, value, value, ZERO, ZERO, ZERO)
 
 
-def outer_product(v: Vector, factor: Operand) -> Symmetric:
+def outer_product(v: Vector, factor: Operand) -> SymmetricMatrix:
     """Return the matrix factor v vᵀ."""
     w = v * factor
-    return Symmetric(w.x * v.x, w.y * v.y, w.z * v.z, w.x * v.y, w.x * v.z, w.y * v.z)
+    return SymmetricMatrix(w.x * v.x, w.y * v.y, w.z * v.z, w.x * v.y, w.x * v.z, w.y * v.z)
 
 
 def rotation_matrix(quat: np.ndarray) -> np.ndarray:
@@ -247,7 +247,7 @@ def rotation_matrix(quat: np.ndarray) -> np.ndarray:
     return matrix.reshape(3, 3)
 
 
-def known_vector(values: np.ndarray) -> Vector:
+def constant_vector(values: np.ndarray) -> Vector:
     """Return a vector (3,) of constants known at compile time."""
     return Vector(*(Scalar(float(x)) for x in values))
 
@@ -255,12 +255,12 @@ def known_vector(values: np.ndarray) -> Vector:
 Axes = tuple[Vector, Vector, Vector]  # of a body, in world axes: the columns of its rotation matrix
 
 
-def rotate(axes: Axes, v: Vector) -> Vector:
+def rotate_to_world(axes: Axes, v: Vector) -> Vector:
     """Rotate a vector from a body's axes to the world's."""
     return axes[0] * v.x + axes[1] * v.y + axes[2] * v.z
 
 
-def rotate_back(axes: Axes, v: Vector) -> Vector:
+def rotate_to_body(axes: Axes, v: Vector) -> Vector:
     """Rotate a vector from the world's axes to a body's."""
     return Vector(*(one.dot(v) for one in axes))
 
@@ -274,7 +274,7 @@ def quaternion_axes(w: Scalar, x: Scalar, y: Scalar, z: Scalar) -> Axes:
     )
 
 
-def rotate_about(axes: Axes, axis: Vector, angle: Scalar) -> tuple[Axes, Vector]:
+def rotate_body_about_axis(axes: Axes, axis: Vector, angle: Scalar) -> tuple[Axes, Vector]:
     """Rotate a body about an axis that is fixed in it.
 
     Args:
@@ -292,7 +292,7 @@ def rotate_about(axes: Axes, axis: Vector, angle: Scalar) -> tuple[Axes, Vector]
             sine = sine * axis[k]
             new = {k: axes[k], i: axes[i] * cosine + axes[j] * sine, j: axes[j] * cosine - axes[i] * sine}
             return (new[0], new[1], new[2]), axes[k] * axis[k]
-    world, rest = rotate(axes, axis), 1 - cosine
+    world, rest = rotate_to_world(axes, axis), 1 - cosine
     turned = tuple(
         one * cosine + world.cross(one) * sine + world * (rest * a) for one, a in zip(axes, axis, strict=True)
     )
@@ -317,7 +317,7 @@ def rotation_quaternion(axis: Vector, angle: Scalar) -> tuple[Scalar, ...]:
     return Scalar(jnp.cos(half)), *(axis * Scalar(jnp.sin(half)))
 
 
-def stack_values(numbers: list[Scalar], dtype: Any) -> Array:
+def stack_scalars(numbers: list[Scalar], dtype: Any) -> Array:
     """Join the numbers of k single bodies to an array (k,)."""
     return jnp.stack([jnp.asarray(one.value, dtype) for one in numbers])
 
@@ -326,10 +326,10 @@ def join_members(numbers: list[Scalar]) -> Scalar:
     """Join the numbers of n single bodies to a number of a stack; the number of one body stays as it is."""
     if len(numbers) == 1:
         return numbers[0]
-    if all(one.is_known for one in numbers):
+    if all(one.is_constant for one in numbers):
         return Scalar(np.array([one.value for one in numbers], float))
-    dtype = next(one.value.dtype for one in numbers if not one.is_known)
-    return Scalar(stack_values(numbers, dtype))
+    dtype = next(one.value.dtype for one in numbers if not one.is_constant)
+    return Scalar(stack_scalars(numbers, dtype))
 
 
 def join_vectors(vectors: list[Vector]) -> Vector:

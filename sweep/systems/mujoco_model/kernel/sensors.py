@@ -15,7 +15,7 @@ from sweep.systems.mujoco_model.kernel.layout import (
     find_stack_of_body,
     unsupported_model_error,
 )
-from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
+from sweep.systems.mujoco_model.kernel.numbers import ModelFieldValues
 from sweep.systems.mujoco_model.kernel.scalars import (
     NOTHING,
     ZERO,
@@ -25,8 +25,8 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     clip,
     largest,
     multiply_quaternions,
-    rotate,
-    rotate_back,
+    rotate_to_body,
+    rotate_to_world,
     rotation_quaternion,
     smallest,
     square_root,
@@ -53,7 +53,13 @@ class Frame:
     """
 
     def __init__(
-        self, layout: RobotLayout, numbers: ModelNumbers, state: RobotState, result: StepResult, kind: int, number: int
+        self,
+        layout: RobotLayout,
+        numbers: ModelFieldValues,
+        state: RobotState,
+        result: StepResult,
+        kind: int,
+        number: int,
     ):
         model, ids = numbers.model, np.array([number])
         self._numbers, self._state, self._result = numbers, state, result
@@ -61,18 +67,18 @@ class Frame:
         body = int(number if kind in (BODY, XBODY) else getattr(model, f"{names[kind]}_bodyid")[number])
         self._stack, self._member = find_stack_of_body(layout, body)
         self._layout, place = layout, result.smooth.places[self._stack]
-        x, y, z = (one.member(self._member) for one in place.axes)
-        origin, axes = place.origin.member(self._member), (x, y, z)
+        x, y, z = (one.stack_member(self._member) for one in place.axes)
+        origin, axes = place.origin.stack_member(self._member), (x, y, z)
         prefix = {SITE: "site", GEOM: "geom", BODY: "body_i", XBODY: ""}[kind]
         prefix = f"{prefix}_" if kind in names else prefix
-        self.offset = rotate(axes, numbers.vector(f"{prefix}pos", ids)) if prefix else NOTHING
-        columns = numbers.rotation(f"{prefix}quat", ids) if prefix else None
-        self.axes: Axes = tuple(rotate(axes, one) for one in columns) if columns else axes  # pyright: ignore
+        self.offset = rotate_to_world(axes, numbers.get_vector(f"{prefix}pos", ids)) if prefix else NOTHING
+        columns = numbers.get_rotation_columns(f"{prefix}quat", ids) if prefix else None
+        self.axes: Axes = tuple(rotate_to_world(axes, one) for one in columns) if columns else axes  # pyright: ignore
         self.own_quat = np.asarray(getattr(model, f"{prefix}quat")[number]) if prefix else np.array([1.0, 0, 0, 0])
         self.place = origin + self.offset  # from the base's origin
         moving = place.motion
-        self.spin = moving.angular.member(self._member)
-        self.velocity = moving.linear.member(self._member) + self.spin.cross(self.place)
+        self.spin = moving.angular.stack_member(self._member)
+        self.velocity = moving.linear.stack_member(self._member) + self.spin.cross(self.place)
 
     @property
     def position(self) -> Vector:
@@ -84,12 +90,12 @@ class Frame:
         """Acceleration minus gravity (m/s^2), in world axes, as an accelerometer feels it."""
         smooth, found = self._result.smooth, self._result.solution.acceleration
         place = smooth.places[self._stack]
-        spin_rate = place.spin_rate.member(self._member)
-        total = place.acceleration.member(self._member) + relative_acceleration(self.spin, spin_rate, self.offset)
+        spin_rate = place.spin_rate.stack_member(self._member)
+        total = place.acceleration.stack_member(self._member) + relative_acceleration(self.spin, spin_rate, self.offset)
         moved = found.base.velocity_at(self.place) if self._layout.has_free_base else NOTHING
         for joint in self._layout.moving_joints(self._stack):
-            linear, angular = (part.member(self._member) for part in smooth.motions[joint])
-            rate = found.joints[joint].member(self._member)
+            linear, angular = (part.stack_member(self._member) for part in smooth.motions[joint])
+            rate = found.joints[joint].stack_member(self._member)
             moved = moved + SpatialVector(linear, angular).velocity_at(self.place) * rate
         return total + moved
 
@@ -97,7 +103,7 @@ class Frame:
     def quat(self) -> tuple[Scalar, ...]:
         """Orientation (w, x, y, z) of the frame in the world; used only for frames of the base."""
         numbers, found, joints = self._numbers, tuple(self._state.quat), self._state.angles
-        for s in self._layout.ancestors(self._stack):
+        for s in self._layout.ancestor_stacks(self._stack):
             stack = self._layout.stacks[s]
             member = self._member if stack.n > 1 else 0
             if stack.parent >= 0:
@@ -108,14 +114,16 @@ class Frame:
                 if numbers.model.jnt_type[ids[0]] != HINGE:
                     continue
                 start = numbers.get("qpos0", numbers.model.jnt_qposadr[ids])
-                turn = rotation_quaternion(numbers.vector("jnt_axis", ids), joints[s, k].member(member) - start)
+                turn = rotation_quaternion(
+                    numbers.get_vector("jnt_axis", ids), joints[s, k].stack_member(member) - start
+                )
                 found = multiply_quaternions(found, turn)
         return multiply_quaternions(found, tuple(Scalar(float(x)) for x in self.own_quat))
 
 
 def compute_sensors(
     layout: RobotLayout,
-    numbers: ModelNumbers,
+    numbers: ModelFieldValues,
     state: RobotState,
     result: StepResult,
     wanted: Container[int] | None = None,
@@ -186,19 +194,21 @@ def _of_frame(read: Callable[[Frame], Any]) -> Callable[..., Any]:
 
 
 def _joint(read: Callable[[RobotState, tuple[int, int]], Scalar]) -> Callable[..., list[Scalar]]:
-    def rule(layout: RobotLayout, numbers: ModelNumbers, state: RobotState, result: StepResult, k: int) -> list[Scalar]:
+    def rule(
+        layout: RobotLayout, numbers: ModelFieldValues, state: RobotState, result: StepResult, k: int
+    ) -> list[Scalar]:
         joint = int(numbers.model.sensor_objid[k])
         for s, place in layout.joints:
             ids = layout.stacks[s].joints[place]
             if joint in ids:
-                return [read(state, (s, place)).member(int(np.flatnonzero(ids == joint)[0]))]
+                return [read(state, (s, place)).stack_member(int(np.flatnonzero(ids == joint)[0]))]
         raise unsupported_model_error("sensors of the free joint")
 
     return rule
 
 
 def _actuator_force(
-    layout: RobotLayout, numbers: ModelNumbers, state: RobotState, result: StepResult, k: int
+    layout: RobotLayout, numbers: ModelFieldValues, state: RobotState, result: StepResult, k: int
 ) -> list[Scalar]:
     """Force of all actuators on a joint, within the joint's range."""
     model, joint = numbers.model, np.array([int(numbers.model.sensor_objid[k])])
@@ -206,22 +216,26 @@ def _actuator_force(
     for drive in result.drives:
         for place in np.flatnonzero(model.actuator_trnid[drive.actuators, 0] == joint[0]):
             gear = numbers.get("actuator_gear", drive.actuators[place : place + 1], 0)
-            total = total + gear * drive.force.member(int(place))
+            total = total + gear * drive.force.stack_member(int(place))
     if model.jnt_actfrclimited[joint[0]]:
         total = clip(total, *(numbers.get("jnt_actfrcrange", joint, side) for side in range(2)))
     return [total]
 
 
 def _actuator(read: Callable[[Any], Scalar]) -> Callable[..., list[Scalar]]:
-    def rule(layout: RobotLayout, numbers: ModelNumbers, state: RobotState, result: StepResult, k: int) -> list[Scalar]:
+    def rule(
+        layout: RobotLayout, numbers: ModelFieldValues, state: RobotState, result: StepResult, k: int
+    ) -> list[Scalar]:
         number = int(numbers.model.sensor_objid[k])
         (drive,) = [one for one in result.drives if number in one.actuators]
-        return [read(drive).member(int(np.flatnonzero(drive.actuators == number)[0]))]
+        return [read(drive).stack_member(int(np.flatnonzero(drive.actuators == number)[0]))]
 
     return rule
 
 
-def _touch(layout: RobotLayout, numbers: ModelNumbers, state: RobotState, result: StepResult, k: int) -> list[Scalar]:
+def _touch(
+    layout: RobotLayout, numbers: ModelFieldValues, state: RobotState, result: StepResult, k: int
+) -> list[Scalar]:
     """Sum of the normal forces of contacts of the site's body, whose normals meet the site's volume."""
     model, problem = numbers.model, result.problem
     site = int(model.sensor_objid[k])
@@ -235,21 +249,21 @@ def _touch(layout: RobotLayout, numbers: ModelNumbers, state: RobotState, result
         at = contact.at
         if len(mine) > 1 and mine.sum() == 1:
             member = int(np.flatnonzero(mine)[0])
-            force, at = force.member(member), at.member(member)
-            total = total + _if_hit(numbers, site, frame, at, -contact.frame[0].member(member), force)
+            force, at = force.stack_member(member), at.stack_member(member)
+            total = total + _if_hit(numbers, site, frame, at, -contact.frame[0].stack_member(member), force)
         else:  # rows of one body
-            total = total + _if_hit(numbers, site, frame, at, -contact.frame[0], force).total(1)
+            total = total + _if_hit(numbers, site, frame, at, -contact.frame[0], force).sum_over_stack(1)
     for contact, residual in zip(problem.constraints.pairs, result.solution.residuals.pairs, strict=True):
         force = contact_force(contact, residual, problem.constraints.is_elliptic)[0]
         for geoms, sign in zip(contact.row.geoms, (1.0, -1.0), strict=True):
             for member in np.flatnonzero((model.geom_bodyid[geoms] == body) & contact.row.real):
                 k = int(member)
-                way = contact.frame[0].member(k) * sign
-                total = total + _if_hit(numbers, site, frame, contact.at.member(k), way, force.member(k))
+                way = contact.frame[0].stack_member(k) * sign
+                total = total + _if_hit(numbers, site, frame, contact.at.stack_member(k), way, force.stack_member(k))
     return [total]
 
 
-def _if_hit(numbers: ModelNumbers, site: int, frame: Frame, at: Vector, way: Vector, force: Scalar) -> Scalar:
+def _if_hit(numbers: ModelFieldValues, site: int, frame: Frame, at: Vector, way: Vector, force: Scalar) -> Scalar:
     """A force where a ray from a point along a unit vector meets the volume of a site, see `mju_rayGeom`."""
     ids, arm = np.array([site]), at - frame.place
     if int(numbers.model.site_type[site]) == SPHERE:
@@ -258,7 +272,7 @@ def _if_hit(numbers: ModelNumbers, site: int, frame: Frame, at: Vector, way: Vec
         left = along * along - reach
         hit = (left > ZERO) & ~(square_root(largest(left, 0.0)) < along)
         return where(hit, force, ZERO)
-    point, line = rotate_back(frame.axes, arm), rotate_back(frame.axes, way)
+    point, line = rotate_to_body(frame.axes, arm), rotate_to_body(frame.axes, way)
     near, far = Scalar(-1e10), Scalar(1e10)
     size = [numbers.get("site_size", ids, k) for k in range(3)]
     for p, d, half in zip(point, line, size, strict=True):
@@ -269,7 +283,7 @@ def _if_hit(numbers: ModelNumbers, site: int, frame: Frame, at: Vector, way: Vec
 
 
 def _subtree_centre(
-    layout: RobotLayout, numbers: ModelNumbers, state: RobotState, result: StepResult, k: int
+    layout: RobotLayout, numbers: ModelFieldValues, state: RobotState, result: StepResult, k: int
 ) -> list[Scalar]:
     """Centre of mass (m, world axes) of a body and all bodies that it moves."""
     model, root = numbers.model, int(numbers.model.sensor_objid[k])
@@ -281,15 +295,15 @@ def _subtree_centre(
         chosen = np.isin(stack.bodies, list(inside))
         own = numbers.get("body_mass", stack.bodies)
         own = own if chosen.all() else own * Scalar(chosen.astype(float))
-        mass = mass + own.total(stack.n)
-        moment = moment + Vector(*(one.total(stack.n) for one in place.centre * own))
+        mass = mass + own.sum_over_stack(stack.n)
+        moment = moment + Vector(*(one.sum_over_stack(stack.n) for one in place.centre * own))
     return [*(state.position + moment * (1 / mass))]
 
 
 FRAME_RULES: dict[str, Callable[[Frame], Any]] = {
-    "ACCELEROMETER": lambda frame: rotate_back(frame.axes, frame.acceleration),
-    "VELOCIMETER": lambda frame: rotate_back(frame.axes, frame.velocity),
-    "GYRO": lambda frame: rotate_back(frame.axes, frame.spin),
+    "ACCELEROMETER": lambda frame: rotate_to_body(frame.axes, frame.acceleration),
+    "VELOCIMETER": lambda frame: rotate_to_body(frame.axes, frame.velocity),
+    "GYRO": lambda frame: rotate_to_body(frame.axes, frame.spin),
     "FRAMEPOS": lambda frame: frame.position,
     "FRAMEQUAT": lambda frame: frame.quat,
     "FRAMEXAXIS": lambda frame: frame.axes[0],

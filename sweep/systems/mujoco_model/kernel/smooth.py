@@ -6,7 +6,7 @@ Composite rigid bodies and the recursive Newton-Euler method, over stacks of lik
 from typing import NamedTuple
 
 from sweep.systems.mujoco_model.kernel.layout import HINGE, RobotLayout
-from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
+from sweep.systems.mujoco_model.kernel.numbers import ModelFieldValues
 from sweep.systems.mujoco_model.kernel.scalars import (
     NO_MATRIX,
     NOTHING,
@@ -14,13 +14,13 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     ZERO,
     Axes,
     Scalar,
-    Symmetric,
+    SymmetricMatrix,
     Vector,
-    isotropic,
     outer_product,
     quaternion_axes,
-    rotate,
-    rotate_about,
+    rotate_body_about_axis,
+    rotate_to_world,
+    scaled_identity,
 )
 
 BASE = (0, -1)  # stands for the free joint where others have the index of a stack and a number in it
@@ -50,15 +50,15 @@ class SpatialVector(NamedTuple):
         """Return the velocity of a point of the body that moves with this linear and angular velocity."""
         return self.linear + self.angular.cross(point)
 
-    def total(self, n: int) -> "SpatialVector":
+    def sum_over_stack(self, n: int) -> "SpatialVector":
         """Return the sum of these vectors over the n bodies of a stack (corresponding bodies of all limbs)."""
-        return SpatialVector(*(Vector(*(one.total(n) for one in part)) for part in self))
+        return SpatialVector(*(Vector(*(one.sum_over_stack(n) for one in part)) for part in self))
 
 
 STILL = SpatialVector(NOTHING, NOTHING)
 
 
-def wrench_at(point: Vector, force: Vector) -> SpatialVector:
+def point_force_wrench(point: Vector, force: Vector) -> SpatialVector:
     """Return a force that acts at a point, together with its moment about the base's origin."""
     return SpatialVector(force, point.cross(force))
 
@@ -68,7 +68,7 @@ class RigidInertia(NamedTuple):
 
     mass: Scalar
     moment: Vector
-    inertia: Symmetric
+    inertia: SymmetricMatrix
 
     def __add__(self, other: "RigidInertia") -> "RigidInertia":  # pyright: ignore[reportIncompatibleMethodOverride]
         return RigidInertia(self.mass + other.mass, self.moment + other.moment, self.inertia + other.inertia)
@@ -80,12 +80,12 @@ class RigidInertia(NamedTuple):
             self.moment.cross(motion.linear) + self.inertia @ motion.angular,
         )
 
-    def total(self, n: int) -> "RigidInertia":
+    def sum_over_stack(self, n: int) -> "RigidInertia":
         """Return the sum of inertias over the n bodies of a stack (corresponding bodies of all limbs)."""
         return RigidInertia(
-            self.mass.total(n),
-            Vector(*(one.total(n) for one in self.moment)),
-            Symmetric(*(one.total(n) for one in self.inertia)),
+            self.mass.sum_over_stack(n),
+            Vector(*(one.sum_over_stack(n) for one in self.moment)),
+            SymmetricMatrix(*(one.sum_over_stack(n) for one in self.inertia)),
         )
 
 
@@ -127,9 +127,9 @@ class RobotState(NamedTuple):
     warm: dict[tuple[int, int], Scalar]
 
 
-def compute_smooth(layout: RobotLayout, numbers: ModelNumbers, state: RobotState) -> SmoothTerms:
+def compute_smooth_terms(layout: RobotLayout, numbers: ModelFieldValues, state: RobotState) -> SmoothTerms:
     """Compute kinematics, mass matrix and bias forces of the robot in a state."""
-    gravity = numbers.vector("opt.gravity")
+    gravity = numbers.get_vector("opt.gravity")
     places: list[BodyPose] = []
     motions, forces, inertias = {}, [], []
     for s, stack in enumerate(layout.stacks):
@@ -141,31 +141,35 @@ def compute_smooth(layout: RobotLayout, numbers: ModelNumbers, state: RobotState
         else:
             parent = places[stack.parent]
             acceleration, spin, spin_rate = parent.acceleration, parent.motion.angular, parent.spin_rate
-            offset = rotate(parent.axes, numbers.vector("body_pos", stack.bodies))
+            offset = rotate_to_world(parent.axes, numbers.get_vector("body_pos", stack.bodies))
             acceleration = acceleration + relative_acceleration(spin, spin_rate, offset)
             origin, axes, motion = parent.origin + offset, parent.axes, parent.motion
-            columns = numbers.rotation("body_quat", stack.bodies)
+            columns = numbers.get_rotation_columns("body_quat", stack.bodies)
             if columns is not None:
-                axes = rotate(axes, columns[0]), rotate(axes, columns[1]), rotate(axes, columns[2])
+                axes = (
+                    rotate_to_world(axes, columns[0]),
+                    rotate_to_world(axes, columns[1]),
+                    rotate_to_world(axes, columns[2]),
+                )
         for k, joints in enumerate(stack.joints):
             angle, rate = state.angles[s, k], state.rates[s, k]
             moved = angle - numbers.get("qpos0", numbers.model.jnt_qposadr[joints])
-            axis = numbers.vector("jnt_axis", joints)
-            anchor = numbers.vector("jnt_pos", joints)
+            axis = numbers.get_vector("jnt_axis", joints)
+            anchor = numbers.get_vector("jnt_pos", joints)
             if numbers.model.jnt_type[joints[0]] == HINGE:
-                arm = rotate(axes, anchor)
+                arm = rotate_to_world(axes, anchor)
                 acceleration = acceleration + relative_acceleration(spin, spin_rate, arm)
                 point = origin + arm
-                axes, world = rotate_about(axes, axis, moved)  # pyright: ignore[reportArgumentType]
+                axes, world = rotate_body_about_axis(axes, axis, moved)  # pyright: ignore[reportArgumentType]
                 turn = world * rate
                 spin_rate = spin_rate + spin.cross(turn)
                 spin = spin + turn
-                arm = -rotate(axes, anchor)
+                arm = -rotate_to_world(axes, anchor)
                 acceleration = acceleration + relative_acceleration(spin, spin_rate, arm)
                 origin = point + arm
                 motions[s, k] = SpatialVector(point.cross(world), world)
             else:
-                world = rotate(axes, axis)  # pyright: ignore[reportArgumentType]
+                world = rotate_to_world(axes, axis)  # pyright: ignore[reportArgumentType]
                 slid = world * moved
                 acceleration = (
                     acceleration + relative_acceleration(spin, spin_rate, slid) + spin.cross(world * rate) * 2.0
@@ -173,7 +177,7 @@ def compute_smooth(layout: RobotLayout, numbers: ModelNumbers, state: RobotState
                 origin = origin + slid
                 motions[s, k] = SpatialVector(world, NOTHING)
             motion = motion + motions[s, k] * rate
-        arm = rotate(axes, numbers.vector("body_ipos", stack.bodies))  # pyright: ignore[reportArgumentType]
+        arm = rotate_to_world(axes, numbers.get_vector("body_ipos", stack.bodies))  # pyright: ignore[reportArgumentType]
         centre, mass = origin + arm, numbers.get("body_mass", stack.bodies)
         own = _inertia(numbers, axes, stack.bodies)  # pyright: ignore[reportArgumentType]
         force = (acceleration + relative_acceleration(spin, spin_rate, arm)) * mass
@@ -187,23 +191,23 @@ def compute_smooth(layout: RobotLayout, numbers: ModelNumbers, state: RobotState
         for k in reversed(range(len(stack.joints))):
             bias[s, k] = motions[s, k].dot(forces[s])
             momenta[s, k] = inertias[s].momentum(motions[s, k])
-            for inner in joints_from_base_to(layout, (s, k)):
+            for inner in list_ancestor_joints(layout, (s, k)):
                 mass_matrix[inner, (s, k)] = motions[inner].dot(momenta[s, k])
             dofs = numbers.model.jnt_dofadr[stack.joints[k]]
             mass_matrix[(s, k), (s, k)] = motions[s, k].dot(momenta[s, k]) + numbers.get("dof_armature", dofs)
         if stack.parent >= 0:
             up = layout.stacks[stack.parent].n == 1 and stack.n > 1
-            forces[stack.parent] += forces[s].total(stack.n) if up else forces[s]
-            inertias[stack.parent] += inertias[s].total(stack.n) if up else inertias[s]
+            forces[stack.parent] += forces[s].sum_over_stack(stack.n) if up else forces[s]
+            inertias[stack.parent] += inertias[s].sum_over_stack(stack.n) if up else inertias[s]
     whole = inertias[0]
-    dofs = layout.free_dofs(numbers.model)
-    if len(dofs) and numbers.is_used("dof_armature", dofs):
+    dofs = layout.base_dof_indices(numbers.model)
+    if len(dofs) and numbers.may_be_nonzero("dof_armature", dofs):
         armature = numbers.get("dof_armature", dofs[:1])
-        whole = whole + RigidInertia(armature, NOTHING, isotropic(armature))
+        whole = whole + RigidInertia(armature, NOTHING, scaled_identity(armature))
     return SmoothTerms(tuple(places), motions, whole, momenta, mass_matrix, forces[0], bias)
 
 
-def joints_from_base_to(layout: RobotLayout, joint: tuple[int, int]) -> list[tuple[int, int]]:
+def list_ancestor_joints(layout: RobotLayout, joint: tuple[int, int]) -> list[tuple[int, int]]:
     """Return the joints between the base and `joint`, from the base outward, excluding `joint`."""
     moving = layout.moving_joints(joint[0])
     return moving[: moving.index(joint)]
@@ -214,23 +218,23 @@ def relative_acceleration(spin: Vector, spin_rate: Vector, arm: Vector) -> Vecto
     return spin_rate.cross(arm) + spin.cross(spin.cross(arm))
 
 
-def _point_inertia(mass: Scalar, place: Vector) -> Symmetric:
+def _point_inertia(mass: Scalar, place: Vector) -> SymmetricMatrix:
     """Inertia of a point mass about the origin."""
     w = place * mass
     xx, yy, zz = w.x * place.x, w.y * place.y, w.z * place.z
-    return Symmetric(yy + zz, xx + zz, xx + yy, -(w.x * place.y), -(w.x * place.z), -(w.y * place.z))
+    return SymmetricMatrix(yy + zz, xx + zz, xx + yy, -(w.x * place.y), -(w.x * place.z), -(w.y * place.z))
 
 
-def _inertia(numbers: ModelNumbers, axes: Axes, bodies) -> Symmetric:
+def _inertia(numbers: ModelFieldValues, axes: Axes, bodies) -> SymmetricMatrix:
     """Inertia about the centre of mass, from the principal moments of the bodies."""
-    columns = numbers.rotation("body_iquat", bodies)
-    principal = axes if columns is None else tuple(rotate(axes, column) for column in columns)
+    columns = numbers.get_rotation_columns("body_iquat", bodies)
+    principal = axes if columns is None else tuple(rotate_to_world(axes, column) for column in columns)
     moments = [numbers.get("body_inertia", bodies, k) for k in range(3)]
     last = 2
     for k in range(3):  # the axis of symmetry of a rod or a disc
         if (moments[(k + 1) % 3] - moments[(k + 2) % 3]).is_exactly(0):
             last = (k + 1) % 3
-    found = isotropic(moments[last])
+    found = scaled_identity(moments[last])
     for k in range(3):
         if k != last:
             found = found + outer_product(principal[k], moments[k] - moments[last])

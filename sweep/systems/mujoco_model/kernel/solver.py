@@ -14,13 +14,13 @@ from jaxtyping import Array
 
 from sweep.systems.mujoco_model.kernel.constraints import (
     Constraints,
-    Curve,
-    contact_components,
-    contact_cost_line,
-    contact_curve,
+    ContactHessian,
+    contact_cost_hessian,
     contact_force,
+    contact_frame_components,
     contact_wrench,
-    joint_row_force,
+    joint_constraint_force,
+    make_line_search_cost,
 )
 from sweep.systems.mujoco_model.kernel.coupling import (
     CoupledSystem,
@@ -40,7 +40,7 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     square_root,
     where,
 )
-from sweep.systems.mujoco_model.kernel.smooth import BASE, STILL, SmoothTerms, SpatialVector, joints_from_base_to
+from sweep.systems.mujoco_model.kernel.smooth import BASE, STILL, SmoothTerms, SpatialVector, list_ancestor_joints
 
 Joint = tuple[int, int]
 TRIALS = 20  # of a search for a step's length, at most; mostly one or two are enough
@@ -83,7 +83,7 @@ class Residuals(NamedTuple):
         return Residuals(contacts, rows, pairs)
 
 
-class StackTotal:
+class SumOverLimbs:
     """A sum of numbers of joints; terms that differ between limbs are added up over the limbs at the end."""
 
     def __init__(self, single: Scalar = ZERO):
@@ -93,7 +93,7 @@ class StackTotal:
         """Add a number that occurs once for each of n bodies."""
         if n == 1:
             self._single = self._single + number
-        elif number.is_known and not number.is_stack:
+        elif number.is_constant and not number.varies_over_stack:
             self._single = self._single + number * n
         else:
             self._stack = self._stack + number
@@ -101,7 +101,7 @@ class StackTotal:
     @property
     def value(self) -> Scalar:
         """The sum of all numbers that were added."""
-        return self._single if self._stack.is_exactly(0) else self._single + self._stack.total(1)
+        return self._single if self._stack.is_exactly(0) else self._single + self._stack.sum_over_stack(1)
 
 
 class StepProblem(NamedTuple):
@@ -112,20 +112,20 @@ class StepProblem(NamedTuple):
     constraints: Constraints
     force: Acceleration  # f: all forces but those of constraints
 
-    def stack_size(self, joint: Joint) -> int:
+    def count_limbs_with_joint(self, joint: Joint) -> int:
         """Return the number of bodies that have a joint like the given one, one in each limb."""
         return self.layout.stacks[joint[0]].n
 
     def momentum(self, a: Acceleration) -> Acceleration:
         """Return the product M a of mass matrix and acceleration."""
         smooth, has_base = self.smooth, self.layout.has_free_base
-        base = [StackTotal() for _ in range(6)]
-        joints = {joint: StackTotal() for joint in a.joints}
+        base = [SumOverLimbs() for _ in range(6)]
+        joints = {joint: SumOverLimbs() for joint in a.joints}
         for joint, rate in a.joints.items():
-            n = self.stack_size(joint)
-            for inner in [*joints_from_base_to(self.layout, joint), joint]:
+            n = self.count_limbs_with_joint(joint)
+            for inner in [*list_ancestor_joints(self.layout, joint), joint]:
                 entry = smooth.mass[inner, joint]
-                joints[inner].add(entry * rate, n if self.stack_size(inner) == 1 else 1)
+                joints[inner].add(entry * rate, n if self.count_limbs_with_joint(inner) == 1 else 1)
                 if inner != joint:
                     joints[joint].add(entry * a.joints[inner], 1)
             if has_base:
@@ -148,14 +148,14 @@ class StepProblem(NamedTuple):
                 at_point = at_point + motion.velocity_at(one.at) * rate
                 if one.dim > len(one.frame):
                     turned = turned + motion.angular * rate
-            given = contact_components(one.frame, at_point, turned, one.dim)
+            given = contact_frame_components(one.frame, at_point, turned, one.dim)
             if wanted:
                 given = tuple(x - y for x, y in zip(given, one.wanted, strict=True))
             contacts.append(given)
         pairs = []
         for one in self.constraints.pairs:
             moved = compute_relative_motion(self.layout, self.smooth, one, a.joints)
-            given = contact_components(one.frame, moved.velocity_at(one.at), moved.angular, one.dim)
+            given = contact_frame_components(one.frame, moved.velocity_at(one.at), moved.angular, one.dim)
             if wanted:
                 given = tuple(x - y for x, y in zip(given, one.wanted, strict=True))
             pairs.append(given)
@@ -167,8 +167,8 @@ class StepProblem(NamedTuple):
 
     def constraint_force(self, residuals: Residuals) -> Acceleration:
         """Return the generalized forces that all constraints exert at given residuals."""
-        base = [StackTotal() for _ in range(6)]
-        joints = {joint: StackTotal() for joint in self.force.joints}
+        base = [SumOverLimbs() for _ in range(6)]
+        joints = {joint: SumOverLimbs() for joint in self.force.joints}
         for one, residual in zip(self.constraints.contacts, residuals.contacts, strict=True):
             wrench = contact_wrench(one, contact_force(one, residual, self.constraints.is_elliptic))
             self._spread(wrench, one, base, joints)
@@ -176,10 +176,10 @@ class StepProblem(NamedTuple):
             wrench = contact_wrench(one, contact_force(one, residual, self.constraints.is_elliptic))
             for s, part in sum_wrenches_by_stack(self.layout, one, wrench).items():
                 for joint in self.layout.moving_joints(s):
-                    n = self.layout.stacks[s].n if self.stack_size(joint) == 1 else 1
+                    n = self.layout.stacks[s].n if self.count_limbs_with_joint(joint) == 1 else 1
                     joints[joint].add(self.smooth.motions[joint].dot(part), n)
         for row, residual in zip(self.constraints.rows, residuals.rows, strict=True):
-            force = row.side * joint_row_force(row, residual)[0]
+            force = row.side * joint_constraint_force(row, residual)[0]
             if row.direction is None:
                 joints[row.joint].add(force, 1)
                 continue
@@ -188,22 +188,24 @@ class StepProblem(NamedTuple):
         return Acceleration(_spatial([one.value for one in base]), {joint: one.value for joint, one in joints.items()})
 
     def _spread(
-        self, wrench: SpatialVector, contact: Any, base: list[StackTotal], joints: dict[Joint, StackTotal]
+        self, wrench: SpatialVector, contact: Any, base: list[SumOverLimbs], joints: dict[Joint, SumOverLimbs]
     ) -> None:
         n = contact.n
         if self.layout.has_free_base:
             for total, part in zip(base, _parts(wrench), strict=True):
                 total.add(part, n)
         for joint in self.layout.moving_joints(contact.point.stack):
-            joints[joint].add(self.smooth.motions[joint].dot(wrench), n if self.stack_size(joint) == 1 else 1)
+            joints[joint].add(
+                self.smooth.motions[joint].dot(wrench), n if self.count_limbs_with_joint(joint) == 1 else 1
+            )
 
     def solve_linear_system(
         self,
         right: Acceleration,
-        curves: list[Curve] | None,
+        curves: list[ContactHessian] | None,
         stiff: dict[Joint, Scalar],
         base_rows: Sequence[tuple[SpatialVector, Scalar]] = (),
-        pair_curves: Sequence[Curve] = (),
+        pair_curves: Sequence[ContactHessian] = (),
     ) -> Acceleration:
         """Solve the linear system of a Newton step, (M + Jᵀ C J + diag) x = right, with contact Hessians C.
 
@@ -216,9 +218,9 @@ class StepProblem(NamedTuple):
         """
         joints, has_base = [*self.force.joints], self.layout.has_free_base
         smooth = self.smooth
-        corner = [[StackTotal() for _ in range(i + 1)] for i in range(6)]  # the base's block, lower triangle
-        side: dict[Joint, list[StackTotal]] = {}  # the base's rows by joint
-        entries: dict[tuple[Joint, Joint], StackTotal] = {}
+        corner = [[SumOverLimbs() for _ in range(i + 1)] for i in range(6)]  # the base's block, lower triangle
+        side: dict[Joint, list[SumOverLimbs]] = {}  # the base's rows by joint
+        entries: dict[tuple[Joint, Joint], SumOverLimbs] = {}
         if has_base:
             whole = smooth.whole
             h, inertia = whole.moment, whole.inertia.rows
@@ -232,10 +234,10 @@ class StepProblem(NamedTuple):
                     for j, total in enumerate(row):
                         total.add(parts[i] * parts[j] * bend, 1)
         for joint in joints:
-            side[joint] = [StackTotal(x) for x in _parts(smooth.momenta[joint])] if has_base else []
-            for inner in joints_from_base_to(self.layout, joint):
-                entries[inner, joint] = StackTotal(smooth.mass[inner, joint])
-            entries[joint, joint] = StackTotal(smooth.mass[joint, joint] + stiff.get(joint, ZERO))
+            side[joint] = [SumOverLimbs(x) for x in _parts(smooth.momenta[joint])] if has_base else []
+            for inner in list_ancestor_joints(self.layout, joint):
+                entries[inner, joint] = SumOverLimbs(smooth.mass[inner, joint])
+            entries[joint, joint] = SumOverLimbs(smooth.mass[joint, joint] + stiff.get(joint, ZERO))
         for one, curve in zip(self.constraints.contacts, curves or (), strict=curves is not None):
             self._add_contact(one, curve, corner, side, entries)
         if pair_curves:
@@ -249,11 +251,11 @@ class StepProblem(NamedTuple):
                 coupled.add_contacts(smooth, one, curve)
             x_base, found = coupled.solve(_parts(right.base) if has_base else [], right.joints)
             return Acceleration(_spatial(x_base) if has_base else STILL, found)
-        rest = {joint: StackTotal(right.joints[joint]) for joint in joints}
-        base = [StackTotal(x) for x in _parts(right.base)]
+        rest = {joint: SumOverLimbs(right.joints[joint]) for joint in joints}
+        base = [SumOverLimbs(x) for x in _parts(right.base)]
         inverse, low, low_base = {}, {}, {}
         for joint in reversed(joints):
-            n, inner = self.stack_size(joint), joints_from_base_to(self.layout, joint)
+            n, inner = self.count_limbs_with_joint(joint), list_ancestor_joints(self.layout, joint)
             pivot = entries[joint, joint].value
             row = {one: entries[one, joint].value for one in inner}
             row_base = [one.value for one in side[joint]]
@@ -261,9 +263,9 @@ class StepProblem(NamedTuple):
             low[joint] = {one: x * inverse[joint] for one, x in row.items()}
             low_base[joint] = [x * inverse[joint] for x in row_base]
             known = rest[joint].value
-            rest[joint] = StackTotal(known)
+            rest[joint] = SumOverLimbs(known)
             for i, one in enumerate(inner):
-                m = n if self.stack_size(one) == 1 else 1
+                m = n if self.count_limbs_with_joint(one) == 1 else 1
                 factor = low[joint][one]
                 rest[one].add(-(factor * known), m)
                 for other in inner[: i + 1]:
@@ -287,13 +289,13 @@ class StepProblem(NamedTuple):
             found[joint] = x
         return Acceleration(_spatial(x_base) if has_base else STILL, found)
 
-    def _add_contact(self, contact: Any, curve: Curve, corner: Any, side: Any, entries: Any) -> None:
+    def _add_contact(self, contact: Any, curve: ContactHessian, corner: Any, side: Any, entries: Any) -> None:
         """Add Jᵀ C J of a row of contacts."""
         n, at, chain = contact.n, contact.at, self.layout.moving_joints(contact.point.stack)
         moved = [
             SpatialVector(one.velocity_at(at), one.angular) for one in (self.smooth.motions[joint] for joint in chain)
         ]
-        pushed = [curve.push(one) for one in moved]
+        pushed = [curve.multiply_motion(one) for one in moved]
         if self.layout.has_free_base:
             rows, extra = curve.linear.rows, curve.mixed or [NOTHING] * 3
             columns = [at.cross(row) + more for row, more in zip(rows, extra, strict=True)]
@@ -314,12 +316,12 @@ class StepProblem(NamedTuple):
                 for j in range(i + 1):
                     corner[3 + i][3 + j].add(turned[i][j], n)
         for joint, push in zip(chain, pushed, strict=True):
-            m = n if self.stack_size(joint) == 1 else 1
+            m = n if self.count_limbs_with_joint(joint) == 1 else 1
             for total, x in zip(side[joint], (*push.linear, *(at.cross(push.linear) + push.angular)), strict=False):
                 total.add(x, m)
         for i, joint in enumerate(chain):
             for j in range(i + 1):
-                m = n if self.stack_size(joint) == 1 else 1
+                m = n if self.count_limbs_with_joint(joint) == 1 else 1
                 power = moved[j].linear.dot(pushed[i].linear)
                 if curve.mixed is not None:
                     power = power + moved[j].angular.dot(pushed[i].angular)
@@ -337,12 +339,12 @@ class StepProblem(NamedTuple):
 
     def norm(self, force: Acceleration) -> Scalar:
         """Return the Euclidean norm of generalized forces, with forces (N) and torques (N m) counted alike."""
-        total = StackTotal()
+        total = SumOverLimbs()
         if self.layout.has_free_base:
             for x in _parts(force.base):
                 total.add(x * x, 1)
         for joint, x in force.joints.items():
-            total.add(x * x, self.stack_size(joint))
+            total.add(x * x, self.count_limbs_with_joint(joint))
         return square_root(total.value)
 
     def next_iterate(self, now: "Iterate") -> "Iterate":
@@ -350,13 +352,13 @@ class StepProblem(NamedTuple):
         is_elliptic = self.constraints.is_elliptic
         constraints, residuals = self.constraints, now.residuals
         curves, pair_curves = (
-            [contact_curve(*each, is_elliptic) for each in zip(*both, strict=True)]
+            [contact_cost_hessian(*each, is_elliptic) for each in zip(*both, strict=True)]
             for both in ((constraints.contacts, residuals.contacts), (constraints.pairs, residuals.pairs))
         )
         stiff: dict[Joint, Scalar] = {}
         base_rows = []
         for row, residual in zip(self.constraints.rows, now.residuals.rows, strict=True):
-            bend = joint_row_force(row, residual)[1]
+            bend = joint_constraint_force(row, residual)[1]
             if row.direction is None:
                 stiff[row.joint] = stiff.get(row.joint, ZERO) + bend
             else:
@@ -372,11 +374,11 @@ class StepProblem(NamedTuple):
         )
 
     def _power(self, one: Acceleration, other: Acceleration) -> Scalar:
-        total = StackTotal()
+        total = SumOverLimbs()
         if self.layout.has_free_base:
             total.add(one.base.dot(other.base), 1)
         for joint, x in one.joints.items():
-            total.add(x * other.joints[joint], self.stack_size(joint))
+            total.add(x * other.joints[joint], self.count_limbs_with_joint(joint))
         return total.value
 
     def _search(self, way: Any, left: Any, moved: Any, residuals: Residuals, changed: Residuals) -> Scalar:
@@ -390,7 +392,7 @@ class StepProblem(NamedTuple):
         flat = slope_at_0 * -float(ROUNDING * jnp.finfo(like.dtype).eps)
         turns = self._turning_points(residuals, changed)
         lines = [
-            contact_cost_line(*each, constraints.is_elliptic)
+            make_line_search_cost(*each, constraints.is_elliptic)
             for each in zip(
                 (*constraints.contacts, *constraints.pairs),
                 (*residuals.contacts, *residuals.pairs),
@@ -401,14 +403,14 @@ class StepProblem(NamedTuple):
 
         def try_length(state: tuple[Any, ...]) -> tuple[Any, ...]:
             count, _, length, low, high = state[0], state[1], *(Scalar(x) for x in state[2:])
-            first, second = StackTotal(), StackTotal()
+            first, second = SumOverLimbs(), SumOverLimbs()
             for line in lines:
-                n, (a, b) = line.contact.n, line.slopes(length)
+                n, (a, b) = line.contact.n, line.derivatives(length)
                 first.add(a, n)
                 second.add(b, n)
             for row, residual, change in zip(constraints.rows, residuals.rows, changed.rows, strict=True):
-                force, curve = joint_row_force(row, residual + length * change)
-                n = self.stack_size(row.joint)
+                force, curve = joint_constraint_force(row, residual + length * change)
+                n = self.count_limbs_with_joint(row.joint)
                 first.add(-(force * change), n)
                 second.add(curve * change * change, n)
             slope = slope_at_0 + length * bend_at_0 + first.value
@@ -437,7 +439,7 @@ class StepProblem(NamedTuple):
                 size = largest(change, -change)
                 moves = Scalar(1e-20) < size
                 place = -residual / where(moves, change, ONE)
-                found.append((place, where(moves, size * row.most, ZERO), self.stack_size(row.joint)))
+                found.append((place, where(moves, size * row.most, ZERO), self.count_limbs_with_joint(row.joint)))
         return found
 
     def _choose_turn(self, turns: list[tuple[Scalar, Scalar, int]], shorter: Array, longer: Array) -> Any:
@@ -447,7 +449,7 @@ class StepProblem(NamedTuple):
         inner = [(place, where((low < place) & (place < high), jump, ZERO), n) for place, jump, n in turns]
         for _, jump, n in inner:
             best = largest(best, Scalar(jump.value.max()) if n > 1 else jump)
-        chosen, count = StackTotal(), StackTotal()
+        chosen, count = SumOverLimbs(), SumOverLimbs()
         for place, jump, n in inner:
             is_best = (jump > ZERO) & ~(jump < best)
             chosen.add(where(is_best, place, ZERO), n)
@@ -467,7 +469,7 @@ class Iterate(NamedTuple):
     error: Scalar  # what is left over of the equation, as a share of all forces
 
 
-def solve_problem(problem: StepProblem, warm: Acceleration, iterations: int) -> Iterate:
+def solve_step_by_newton(problem: StepProblem, warm: Acceleration, iterations: int) -> Iterate:
     """Return the accelerations of a physics step, by Newton's method from those of the last step.
 
     Contacts of the robot with itself couple its limbs. They are part of the equations only in rollouts that have such

@@ -7,10 +7,15 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
-from sweep.systems.mujoco_model.kernel.constraints import ELLIPTIC, Constraints, find_contacts, find_joint_rows
+from sweep.systems.mujoco_model.kernel.constraints import (
+    ELLIPTIC,
+    Constraints,
+    compute_joint_constraints,
+    find_contacts,
+)
 from sweep.systems.mujoco_model.kernel.ground import find_ground_contacts
 from sweep.systems.mujoco_model.kernel.layout import RobotLayout, joint_actuators
-from sweep.systems.mujoco_model.kernel.numbers import ModelNumbers
+from sweep.systems.mujoco_model.kernel.numbers import ModelFieldValues
 from sweep.systems.mujoco_model.kernel.pairs import find_pair_contacts
 from sweep.systems.mujoco_model.kernel.scalars import (
     NOTHING,
@@ -21,11 +26,11 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     largest,
     multiply_quaternions,
     quaternion_axes,
-    rotate,
-    rotate_back,
+    rotate_to_body,
+    rotate_to_world,
     smallest,
     square_root,
-    stack_values,
+    stack_scalars,
     where,
 )
 from sweep.systems.mujoco_model.kernel.smooth import (
@@ -34,10 +39,10 @@ from sweep.systems.mujoco_model.kernel.smooth import (
     RobotState,
     SmoothTerms,
     SpatialVector,
-    compute_smooth,
-    wrench_at,
+    compute_smooth_terms,
+    point_force_wrench,
 )
-from sweep.systems.mujoco_model.kernel.solver import Acceleration, Iterate, Joint, StepProblem, solve_problem
+from sweep.systems.mujoco_model.kernel.solver import Acceleration, Iterate, Joint, StepProblem, solve_step_by_newton
 
 IMPLICIT = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
 UNBALANCED = 0.01  # share of the forces that may be left over in a solved step, as for other engines
@@ -90,7 +95,7 @@ def read_state(layout: RobotLayout, model: mujoco.MjModel, qpos: Array, qvel: Ar
     def vector(values: Array, first: int) -> Vector:
         return Vector(*(Scalar(values[first + k]) for k in range(3)))
 
-    moving = [SpatialVector(vector(one, v), rotate(axes, vector(one, v + 3))) for one in (qvel, warm)]
+    moving = [SpatialVector(vector(one, v), rotate_to_world(axes, vector(one, v + 3))) for one in (qvel, warm)]
     return RobotState(vector(qpos, q), quat, moving[0], angles, rates, moving[1], before)  # pyright: ignore
 
 
@@ -106,20 +111,20 @@ def write_state(layout: RobotLayout, model: mujoco.MjModel, state: RobotState) -
             (warm, state.warm, model.jnt_dofadr[ids]),
         ):
             for k, place in enumerate(at):
-                values[place] = numbers[joint].member(k)
+                values[place] = numbers[joint].stack_member(k)
     if layout.has_free_base:
         free = int(model.body_jntadr[layout.stacks[0].bodies[0]])
         q, v = int(model.jnt_qposadr[free]), int(model.jnt_dofadr[free])
         qpos[q : q + 7] = [*state.position, *state.quat]
         axes = quaternion_axes(*state.quat)
         for values, moving in ((qvel, state.velocity), (warm, state.warm_base)):
-            values[v : v + 6] = [*moving.linear, *rotate_back(axes, moving.angular)]
-    return stack_values(qpos, dtype), stack_values(qvel, dtype), stack_values(warm, dtype)
+            values[v : v + 6] = [*moving.linear, *rotate_to_body(axes, moving.angular)]
+    return stack_scalars(qpos, dtype), stack_scalars(qvel, dtype), stack_scalars(warm, dtype)
 
 
 def compute_forces(
     layout: RobotLayout,
-    numbers: ModelNumbers,
+    numbers: ModelFieldValues,
     state: RobotState,
     smooth: SmoothTerms,
     ctrl: Array,
@@ -149,7 +154,7 @@ def compute_forces(
         angle, rate = state.angles[joint], state.rates[joint]
         drag = numbers.get("dof_damping", dofs)
         passive = -(drag * rate)
-        if numbers.is_used("jnt_stiffness", ids):
+        if numbers.may_be_nonzero("jnt_stiffness", ids):
             passive = passive - numbers.get("jnt_stiffness", ids) * (angle - numbers.get("qpos_spring", places))
         driven, soft = ZERO, drag if damps_implicitly else ZERO
         for acting in zip(*(joint_actuators(model, int(j)) for j in ids), strict=True):
@@ -167,8 +172,8 @@ def compute_forces(
         forces[joint] = driven + passive - smooth.bias[joint]
         damping[joint] = soft
     base = smooth.bias_base * Scalar(-1.0)
-    dofs = layout.free_dofs(model)
-    if len(dofs) and numbers.is_used("dof_damping", dofs):
+    dofs = layout.base_dof_indices(model)
+    if len(dofs) and numbers.may_be_nonzero("dof_damping", dofs):
         drag = numbers.get("dof_damping", dofs[:1])
         base = base - state.velocity * drag
         damping[BASE] = drag if damps_implicitly else ZERO
@@ -178,17 +183,17 @@ def compute_forces(
         if stack.n > 1:
             mask = Scalar((np.arange(stack.n) == push.member).astype(float))
             force = force * mask
-        wrench = wrench_at(place.centre, force)
-        base = base + (wrench.total(stack.n) if stack.n > 1 else wrench)
+        wrench = point_force_wrench(place.centre, force)
+        base = base + (wrench.sum_over_stack(stack.n) if stack.n > 1 else wrench)
         for joint in layout.moving_joints(push.stack):
             pull = smooth.motions[joint].dot(wrench)
             wide = stack.n > 1 and layout.stacks[joint[0]].n == 1
-            forces[joint] = forces[joint] + (pull.total(stack.n) if wide else pull)
+            forces[joint] = forces[joint] + (pull.sum_over_stack(stack.n) if wide else pull)
     return Acceleration(base, forces), damping, tuple(found)
 
 
 def _drive(
-    numbers: ModelNumbers, ids: np.ndarray, angle: Scalar, rate: Scalar, ctrl: Array
+    numbers: ModelFieldValues, ids: np.ndarray, angle: Scalar, rate: Scalar, ctrl: Array
 ) -> tuple[ActuatorState, Scalar, Scalar]:
     """Force of an actuator of each joint, its gear, and how its force grows with its velocity."""
     model = numbers.model
@@ -216,7 +221,7 @@ def _drive(
     return ActuatorState(ids, force, length, velocity), gear, slope
 
 
-def _clamp(numbers: ModelNumbers, value: Scalar, ids: np.ndarray, name: str, limited: Any) -> tuple[Scalar, Any]:
+def _clamp(numbers: ModelFieldValues, value: Scalar, ids: np.ndarray, name: str, limited: Any) -> tuple[Scalar, Any]:
     """A number within a range where it is limited, and whether it was within."""
     low, high = (numbers.get(name, ids, k) for k in range(2))
     flags = limited[ids].astype(bool)
@@ -228,7 +233,7 @@ def _clamp(numbers: ModelNumbers, value: Scalar, ids: np.ndarray, name: str, lim
 
 def step(
     layout: RobotLayout,
-    numbers: ModelNumbers,
+    numbers: ModelFieldValues,
     state: RobotState,
     ctrl: Float[Array, " nu"],
     pushes: tuple[BodyPush, ...],
@@ -247,7 +252,7 @@ def step(
     Returns:
         The state at the end, and what was computed at the start.
     """
-    result, damping = solve_forward(layout, numbers, state, ctrl, pushes, iterations)
+    result, damping = compute_forward_dynamics(layout, numbers, state, ctrl, pushes, iterations)
     h, solution, problem = float(numbers.model.opt.timestep), result.solution, result.problem
     acceleration = solution.acceleration
     total = problem.force.add_scaled(ONE, solution.pull)
@@ -276,25 +281,25 @@ def _turn(quat: Any, spin: Vector, h: float) -> Any:
     return tuple(one / length for one in turned)
 
 
-def solve_forward(
+def compute_forward_dynamics(
     layout: RobotLayout,
-    numbers: ModelNumbers,
+    numbers: ModelFieldValues,
     state: RobotState,
     ctrl: Array,
     pushes: tuple[BodyPush, ...],
     iterations: int,
 ) -> tuple[StepResult, dict[Joint, Scalar]]:
     """Compute the accelerations of a state under all forces, and the damping of each joint."""
-    smooth = compute_smooth(layout, numbers, state)
+    smooth = compute_smooth_terms(layout, numbers, state)
     force, damping, drives_ = compute_forces(layout, numbers, state, smooth, ctrl, pushes)
     contacts = find_contacts(layout, numbers, state, smooth)
     others, unsure = find_ground_contacts(layout, numbers, state, smooth)
     pairs = find_pair_contacts(layout, numbers, smooth)
-    rows = tuple(find_joint_rows(layout, numbers, state))
+    rows = tuple(compute_joint_constraints(layout, numbers, state))
     constraints = Constraints((*contacts, *others), rows, numbers.model.opt.cone == ELLIPTIC, tuple(pairs))
     problem = StepProblem(layout, smooth, constraints, force)
     warm = Acceleration(state.warm_base, state.warm)
-    solution = solve_problem(problem, warm, iterations)
+    solution = solve_step_by_newton(problem, warm, iterations)
     is_unsolved = Scalar(UNBALANCED) < solution.error
     for flag in (*unsure, *(one.is_unsure for one in pairs)):
         is_unsolved = is_unsolved | flag

@@ -39,7 +39,7 @@ def find_varied_elements(
 
     for path in paths:
         for member in fields.group_members(model, path) if fields.is_group(path) else [path]:
-            numbers, places = fields.locate_numbers(model, member)
+            numbers, places = fields.resolve_parameter_path(model, member)
             if numbers.needs_compiler:
                 for field in COMPILED:
                     mark(field)

@@ -22,7 +22,7 @@ def update(state: CollisionTotals, ctx: ModelTick) -> CollisionTotals:
 def compute(state: CollisionTotals, rollout: ModelRollout) -> dict[str, Array]:
     """Return the share of physics steps with an unwanted contact, and the impulse (N s) of these, by column."""
     return {
-        "collision_share": rollout.share(state.steps_with_touch),
+        "collision_share": rollout.share_of_steps(state.steps_with_touch),
         "collision_impulse_ns": rollout.integrate_sum(state.load),
     }
 

@@ -5,12 +5,16 @@ import numpy as np
 from sweep.core.metric import array_namespace
 from sweep.systems.mujoco_model.tick import Array, make_step_share_metric
 
-BALANCE_FIELDS = ("qacc", "qfrc_smooth", "qfrc_constraint")  # recorded of each step for `is_unbalanced`, beside M
+BALANCE_FIELDS = (
+    "qacc",
+    "qfrc_smooth",
+    "qfrc_constraint",
+)  # recorded of each step for `find_unbalanced_steps`, beside M
 MAX_IMBALANCE_SHARE = 0.01  # share of the forces, up to which those of a step are in balance
 
 
 @np.errstate(invalid="ignore", over="ignore")
-def is_unbalanced(mass: Array, qacc: Array, smooth: Array, constraint: Array) -> Array:
+def find_unbalanced_steps(mass: Array, qacc: Array, smooth: Array, constraint: Array) -> Array:
     """Return in which physics steps forces and accelerations do not balance: M a differs from f + Jᵀλ.
 
     Each component counts by its own inertia, M's diagonal, so that forces and moments are both in √kg m/s². What is
