@@ -100,7 +100,7 @@ def select_agreed_rows(rows: pd.DataFrame) -> pd.DataFrame:
     audited = rows[engine_audit.AGREE] != "" if engine_audit.AGREE in rows else pd.Series(False, rows.index)
     if not audited.any():
         raise InputError("--engines-agree needs an audit on several engines: sweep audit DIR --engines all")
-    first = engine_audit.first_by_point_id(rows["point_id"], int(audited.sum()))
+    first = engine_audit.first_rows_by_point_id(rows["point_id"], int(audited.sum()))
     if not audited.iloc[first].all():
         raise InputError("--engines-agree is not allowed after an audit with --where: its rows are no random choice")
     chosen = rows[audited]

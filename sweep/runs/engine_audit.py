@@ -57,7 +57,7 @@ def run_engine_audit(
     others = [name for name in (allowed if is_every else dict.fromkeys(engines)) if name != own]
     if not others:
         raise InputError(f"--engines {','.join(engines)} is not allowed: the rows are by {own}; name another engine")
-    chosen = results.rows.iloc[first_by_point_id(results.rows["point_id"], most)]
+    chosen = results.rows.iloc[first_rows_by_point_id(results.rows["point_id"], most)]
     points = select_point_columns(chosen)
     path_inside_folder(results.folder, AUDIT_FOLDER).mkdir(exist_ok=True)
     outcomes = chosen.set_index("point_id")[["outcome"]].rename(columns={"outcome": own})
@@ -81,8 +81,16 @@ def run_engine_audit(
         store.write_verdicts(results.folder, judge_agreement(outcomes))
 
 
-def first_by_point_id(ids: pd.Series, most: int) -> np.ndarray:
-    """Return the places of at most `most` rows, the first by `point_id`, in the order of the rows."""
+def first_rows_by_point_id(ids: pd.Series, most: int) -> np.ndarray:
+    """Return the positions of the rows whose point ids come first in alphabetical order.
+
+    Args:
+        ids: `point_id` of each row (n).
+        most: Number of rows to take at most.
+
+    Returns:
+        Positions (m), increasing.
+    """
     return np.sort(np.argsort(ids.to_numpy(dtype=str), kind="stable")[:most])
 
 
