@@ -93,7 +93,7 @@ def test_numbers_follow_the_sizes_that_are_believed(lab):
 def test_feet_on_top_of_a_smaller_ball_stand_on_a_circle_that_is_larger_for_it():
     def circle(radius):
         case = compose(["scenario=ball_over", f"obstacle.radius={radius}"]).case
-        feet = case.manoeuvre.descent.stand_pose(case).feet
+        feet = case.manoeuvre.descent_manoeuvre.stand_pose(case).feet
         return jnp.max(jnp.hypot(feet[:, 0], feet[:, 1])) / radius
 
     np.testing.assert_allclose(circle(0.84 * 0.95) / circle(0.84), 1 + 0.05 * 0.6, rtol=1e-4)

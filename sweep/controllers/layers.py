@@ -212,7 +212,7 @@ class ForceFeedforward(TrackerLayer):
     swing moves on alone, since all feet moving on would push the base away. The state is the distance (m) that each
     foot has moved on alone.
 
-    Made by `PlannedForces.with_feedforward`.
+    Made by `PlannedForces.add_force_feedforward`.
     """
 
     anchors_feet: ClassVar = True

@@ -107,7 +107,7 @@ def plan_direction(case: Any) -> str:
 
 def plan_content(case: Any) -> Content:
     """Return the content of a case's plan file with the study's numbers in it and its formulas not evaluated."""
-    changes = case.plan.changes
+    changes = case.plan.changed_numbers
 
     def now(path: str, value: Any) -> Any:
         more = changes.get(INCREMENT_PREFIX + path)
@@ -169,7 +169,7 @@ def _slope_amounts(case: Any, content: Content) -> dict[str, Array]:
 
 def _evaluate_content(case: Any, content: Content, added: Mapping[str, Array], alone: str = "") -> Content:
     """Evaluate formulas of `content`, or of one part, and apply the case's changes and the amounts `added` by path."""
-    changes, sizes, times = case.plan.changes, content.get(SIZES, {}), {}
+    changes, sizes, times = case.plan.changed_numbers, content.get(SIZES, {}), {}
     names: dict[str, Any] = {"unit": length_unit(case.robot)}
 
     def named(name: str) -> Any:

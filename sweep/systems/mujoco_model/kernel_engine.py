@@ -428,7 +428,7 @@ class KernelModelEngine(ModelEngine):
                 )
                 measured = {name: np.asarray(values, float) for name, values in measured.items()}
             else:
-                measured = outside.finish(np.asarray(observable, float))
+                measured = outside.compute_rollout_metrics(np.asarray(observable, float))
         last = jax.tree.map(np.asarray, end.metrics)
         wrong = np.asarray(end.wrong)
         gained = begun.energy(last.last_qpos, last.last_qvel) - at_first

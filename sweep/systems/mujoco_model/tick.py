@@ -300,7 +300,7 @@ def make_step_share_metric(
     return Metric(
         make_begin_with_constants(lambda total: total, 0.0),
         lambda total, ctx: total + count(ctx),
-        lambda total, rollout: {column: rollout.share(total)},
+        lambda total, rollout: {column: rollout.share_of_steps(total)},
         {column: meaning},
         needs=needs,
     )
