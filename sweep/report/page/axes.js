@@ -251,7 +251,7 @@ export function equalCellScale(cells, room) {
   const every = Math.max(1, Math.ceil(count / room));
   const marks = labelledValues(Array.from(cells)).filter((_, k) => k % every === 0);
   const edges = Float64Array.from({ length: count + 1 }, (_, k) => k / count);
-  return { to, back, ticks: marks, edges, cells, note: "at equal steps" };
+  return { to, back, ticks: marks, edges, cells, note: "not to scale" };
 }
 
 /** @typedef {{ left: number, top: number, width: number, height: number }} Box */

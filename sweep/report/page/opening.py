@@ -113,8 +113,8 @@ def rank_by_cut(x: np.ndarray, inside: np.ndarray) -> list[int]:
 
     if inside.all() or not inside.any():
         return list(range(x.shape[1]))
-    cut = [ks_2samp(column[inside], column[~inside]).statistic for column in x.T]  # pyright: ignore
-    return sorted(range(len(cut)), key=lambda k: -cut[k])
+    tests: list[Any] = [ks_2samp(column[inside], column[~inside]) for column in x.T]
+    return sorted(range(len(tests)), key=lambda k: -tests[k].statistic)
 
 
 def outline_region(region: CertifiedRegion, x: np.ndarray, inside: np.ndarray, i: int, j: int) -> list[list[float]]:

@@ -210,6 +210,7 @@ export function parallelView(app) {
     app.redraw();
   };
   const menu = makeAxisMenu(app, arrange);
+  menu.show(every, every.length);
   byId("lines-reset").closest("p")?.after(menu.root);
   byId("lines-reset").addEventListener("click", () => arrange([]));
 
