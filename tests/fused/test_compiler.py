@@ -182,7 +182,7 @@ def test_a_batch_keeps_the_program_that_it_goes_through():
         code = compile_function(lambda given, carried, k: (carried + given, {}), one, one)
         tiles = Kernel(code).load_batch(one + 2, one[None], 1)
         gc.collect()
-        tiles.advance(0, 3)
+        tiles.advance_ticks(0, 3)
         print(tiles.read_full_state())
     """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

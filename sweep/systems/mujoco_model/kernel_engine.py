@@ -476,15 +476,15 @@ class _CpuRunner:
 
     def set_commands(self, commands: np.ndarray) -> None:
         """Set the commands (n, nu) of the next tick."""
-        self._tiles.replace(lambda carry: carry.command, commands)
+        self._tiles.replace_state_values(lambda carry: carry.command, commands)
 
     def read_observables(self) -> np.ndarray:
         """What controllers observe (n, s)."""
-        return self._tiles.read(lambda carry: carry.observable)
+        return self._tiles.read_state_values(lambda carry: carry.observable)
 
     def simulate_ticks(self, first: int, count: int) -> Any:
         """Simulate ticks; return what is recorded of the chosen rollouts, (ticks, slots, ...) by name."""
-        return self._tiles.advance(first, count, self._slots)
+        return self._tiles.advance_ticks(first, count, self._slots)
 
     def read_final_carry(self) -> KernelCarry:
         """Return the carry at the end, (n, ...)."""
