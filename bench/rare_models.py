@@ -1,0 +1,167 @@
+"""Coverage of rare-failure intervals on small MuJoCo models: `python bench/rare_models.py [ENGINE [SEARCHES [PLAIN]]]`.
+
+It writes research/data/rare_models.json, which research/certainty.md cites. Three models with contacts are pushed: a
+box that tips over, a tripod on sprung legs, and the quadruped of `sweep init --model`. The push is so large that about
+one of a thousand draws fails. Plain draws give the probability; repeated importance sampling, all repetitions side by
+side, shows how often its interval holds it.
+"""
+
+import os
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from importlib.resources import files
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import rare
+import shared
+
+from sweep.analysis.intervals import clopper_pearson
+from sweep.config.experiment import Experiment, compose
+from sweep.runs import runner
+from sweep.runs.batches import allocate_delay_buffers, make_engine, make_nominal_batch
+from sweep.study.adaptive_sampling import RoundDraws
+from sweep.study.study import make_points
+
+Table = list[list[str]]  # columns, then rows
+
+NUM, TRIED, WIDTH = 256, 256, int(os.environ.get("RARE_WIDTH", "16384"))  # draws of a round, pushes tried, a batch
+BOX = """<mujoco><option timestep="0.002"/>
+<worldbody><geom name="floor" type="plane" size="0 0 1"/>
+<body name="trunk" pos="0 0 0.3"><freejoint/><geom name="box" type="box" size="0.12 0.1 0.3" mass="3"/>
+<body name="head" pos="0 0 0.3"><joint name="neck" type="slide" axis="0 0 1" range="0 0.02"/>
+<geom type="sphere" size="0.02" mass="0.1" contype="0" conaffinity="0"/></body></body></worldbody>
+<actuator><motor name="neck" joint="neck"/></actuator></mujoco>"""
+STILL = "import jax.numpy as jnp\ndef policy(belief, seen, state, key): return jnp.zeros(1), state\n"
+LEG = """<body name="{name}" pos="{x} {y} 0"><joint name="{name}" axis="0 1 0" range="-60 60" damping="0.2"/>
+<geom type="capsule" fromto="0 0 0 0 0 -0.36" size="0.02" mass="0.3" contype="0" conaffinity="0"/>
+<geom type="sphere" size="0.06" pos="0 0 -0.36" mass="0.1"/></body>"""
+PLACES = {"left": (0.2, 0.15), "right": (0.2, -0.15), "rear": (-0.2, 0.0)}
+TRIPOD = f"""<mujoco><option timestep="0.002" integrator="Euler"/>
+<worldbody><geom name="floor" type="plane" size="0 0 1" friction="0.8"/>
+<body name="trunk" pos="0 0 0.42"><freejoint/><geom name="trunk" type="sphere" size="0.1" mass="2" contype="0"/>
+{"".join(LEG.format(name=name, x=x, y=y) for name, (x, y) in PLACES.items())}</body></worldbody>
+<actuator>{"".join(f'<position name="{name}" joint="{name}" kp="150" kv="4"/>' for name in PLACES)}</actuator>
+</mujoco>"""
+HOLD = "import jax.numpy as jnp\ndef policy(belief, seen, state, key): return jnp.zeros(3), state\n"
+# by name: model, controller, seconds, condition of failure, the largest push (N s) that is tried, and by how many
+# standard deviations the mean push is below the one that fails
+MODELS = {
+    "box that is pushed": ("box.xml", "still:policy", 1.0, "tilt_max_deg > 45", 8.0, 2.6),
+    "tripod that is pushed": ("tripod.xml", "hold:policy", 1.5, "tilt_max_deg > 60", 16.0, 3.1),
+    "quadruped that trots and is pushed": ("quadruped.xml", "trot:policy", 2.0, "base_height_min_m < 0.15", 40.0, 3.1),
+}
+MEAN = 0.7  # of the push, in units of the push that fails at nominal values
+FILES = {"box.xml": BOX, "still.py": STILL, "tripod.xml": TRIPOD, "hold.py": HOLD, "sweep.yaml": "modules: []\n"}
+
+
+def write_study(name: str, threshold: float) -> str:
+    """Write the study of a model whose push fails from a threshold (N s) on; return its file."""
+    model, controller, duration, fell, _, deviations = MODELS[name]
+    mean, spread = MEAN * threshold, (1 - MEAN) * threshold / deviations
+    extra = ", keyframe: home, observe: [turn, spin], sensors: current" if model == "quadruped.xml" else ""
+    Path("study.yaml").write_text(f"""system: mujoco
+model: {{mjcf: {model}, controller: "{controller}", duration: {duration}{extra}}}
+push: {{kick: {{body: trunk, start: 0.3}}}}
+outcome: {{fell: {fell}}}
+study:
+  name: rare
+  replays: 0
+  design: {{kind: importance, num: {NUM}, rounds: 2}}
+  axes:
+    kick: {{path: push.kick.impulse, distribution: {{kind: normal, mean: {mean}, std: {spread}}}}}
+    way: {{path: push.kick.direction, distribution: {{kind: normal, mean: 0, std: 0.3}}}}
+    rise: {{path: push.kick.elevation, distribution: {{kind: normal, mean: 0, std: 0.1}}}}
+    begin: {{path: push.kick.start, distribution: {{kind: uniform, from: 0.2, to: 0.4}}}}
+""")
+    return "study.yaml"
+
+
+class Rollouts:
+    """Rollouts of a study on one engine."""
+
+    def __init__(self, study: str, engine: str):
+        self.name = engine
+        self.load(study)
+        first = self.points(plain_draws(self.exp, 1, 0))
+        self.exp = allocate_delay_buffers(self.exp, first)
+        self.engine = make_engine(self.exp, make_nominal_batch(self.exp, first.assign(width=WIDTH), WIDTH))
+
+    def load(self, study: str) -> None:
+        """Read a study that the same engine can simulate."""
+        self.exp = compose([f"study={study}", f"engine={self.name}", f"engine.width={WIDTH}"])
+
+    def points(self, draws: RoundDraws) -> pd.DataFrame:
+        """Return the points of a round."""
+        return make_points(self.exp.study, self.exp.system, self.exp.settings, round_=draws)
+
+    def run(self, tables: list[pd.DataFrame]) -> list[pd.DataFrame]:
+        """Return the rows of each table, simulated side by side."""
+        every = pd.concat(tables, ignore_index=True).assign(width=WIDTH)
+        parts = [every[k : k + WIDTH] for k in range(0, len(every), WIDTH)]
+        rows = pd.concat([runner.simulate_batch(self.exp, self.engine, part)[0] for part in parts], ignore_index=True)
+        ends = np.cumsum([0, *map(len, tables)])
+        return [rows[a:b].reset_index(drop=True) for a, b in pairwise(ends)]
+
+
+def plain_draws(exp: Experiment, num: int, before: int) -> RoundDraws:
+    """Return `num` plain draws that differ from the `before` ones."""
+    shares = np.random.default_rng([rare.PLAIN, before]).random((num, len(exp.study.axes)))
+    return RoundDraws(shares, before + np.arange(num), {})
+
+
+def measure_model(name: str, engine: str, searches: int, plain: int) -> list[str]:
+    """Return a line of the table: the probability by plain draws, and how often the interval of a search holds it."""
+    rollouts = Rollouts(write_study(name, 1.0), engine)
+    tried = rollouts.points(plain_draws(rollouts.exp, TRIED, 0))
+    tried["push.kick.impulse"] = np.linspace(0, MODELS[name][4], TRIED)
+    (rows,) = rollouts.run([tried.assign(**{"push.kick.direction": 0.0, "push.kick.elevation": 0.0})])
+    threshold = float(rows["push.kick.impulse"][rows["outcome"] != "success"].min())
+    rollouts.load(write_study(name, threshold))
+    failed, counted = 0, 0
+    while counted < plain:
+        (rows,) = rollouts.run([rollouts.points(plain_draws(rollouts.exp, min(WIDTH, plain - counted), counted))])
+        failed, counted = failed + int((rows["outcome"] != "success").sum()), counted + len(rows)
+    low, high = (float(end) for end in clopper_pearson(failed, counted))
+    studies = [replace(rollouts.exp, study=replace(rollouts.exp.study, seed=seed)) for seed in range(searches)]
+    rounds = [rare.adaptive_rounds(exp) for exp in studies]
+    asked, found = [next(one) for one in rounds], {}
+    while len(found) < searches:
+        open_ = [k for k in range(searches) if k not in found]
+        for k, rows in zip(open_, rollouts.run([rollouts.points(asked[k]) for k in open_]), strict=True):
+            try:
+                asked[k] = rounds[k].send(rows)
+            except StopIteration as done:
+                found[k] = studies[k].study.adaptive_design.estimate_failure(done.value, studies[k].study.draw_context)
+    truth = failed / counted
+    held = sum(one.interval[0] <= truth <= one.interval[1] for one in found.values())
+    touched = sum(one.interval[0] <= high and low <= one.interval[1] for one in found.values())
+    median = float(np.median([one.probability for one in found.values()]))
+    return [name, f"{failed} of {counted:,}", f"{truth:.2g} ({low:.2g} to {high:.2g})", f"{median:.2g}",
+            f"{3 * NUM:,}", f"{held} of {searches}", f"{touched} of {searches}"]  # fmt: skip
+
+
+def main(engine: str = "kernel", searches: str = "100", plain: str = "400000", *names: str) -> None:
+    """Simulate all models, and write the table."""
+    start = time.perf_counter()
+    table: Table = [["model", "failures of plain draws", "probability", "median of the searches",
+                     "rollouts of a search", "intervals hold the probability", "touch its interval"]]  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        for name, text in FILES.items():
+            Path(name).write_text(text)
+        for name in ("quadruped.xml", "trot.py"):
+            Path(name).write_text((files("sweep.cli") / "template_model" / name).read_text(encoding="utf-8"))
+        for name in names or MODELS:
+            table.append(measure_model(name, engine, int(searches), int(plain)))
+            print(table[-1], flush=True)
+        os.chdir("/")
+    shared.write_tables("rare_models", (engine,), start, {"models": table})
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
