@@ -1,6 +1,7 @@
 """`sweep replay`: simulate one stored rollout again and record it."""
 
 import argparse
+import time
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -73,9 +74,24 @@ def run(args: argparse.Namespace) -> int:
         write_png(args.png, result.trace, came)
     if args.video:
         pictures = len(frames_at_rate(result.trace, VIDEO_RATE))
-        with show_progress_counts(lambda done, of: f"{done} of {of} pictures drawn", 0, pictures) as report:
+        start = time.perf_counter()
+        with show_progress_counts(
+            lambda done, of: format_drawn(done, of, time.perf_counter() - start), 0, pictures
+        ) as report:
             write_video(args.video, result.trace, f"row {result.stored.name}", came, report)
     return DONE
+
+
+def format_drawn(done: int, of: int, elapsed_s: float) -> str:
+    """Format how many pictures of a video are drawn, and how long the others will take.
+
+    Args:
+        done: Pictures drawn.
+        of: Pictures in all.
+        elapsed_s: Time that they took, s.
+    """
+    left = f", about {elapsed_s * (of - done) / done:.0f} s left" if done else ""
+    return f"{done} of {of} pictures drawn{left}"
 
 
 def check_options(args: argparse.Namespace) -> None:

@@ -238,6 +238,8 @@ async function startPage() {
   addExportButtons(app);
   offerPictures(app);
   const row = wanted.point ? findRow(table, wanted.point) : -1;
+  const [first] = about.replays;
+  if (row < 0 && about.open && first.row >= 0) app.mark(first.row); // the page was made to show this row
   if (row >= 0) {
     app.mark(row);
     player.openRow(row, wanted.time);

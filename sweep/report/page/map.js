@@ -411,7 +411,7 @@ function ringSize({ boxes }, k, area) {
   const width = (boxes[4 * k + 2] - boxes[4 * k]) * area.width;
   const height = (boxes[4 * k + 3] - boxes[4 * k + 1]) * area.height;
   const least = Math.min(width, height);
-  return least < GLYPHED ? 3.2 : Math.min(GLYPH_SIZE + 3, least / 2 - 1);
+  return least < GLYPHED ? 3.2 : Math.min(GLYPH_SIZE + 5.5, least / 2 - 1);
 }
 
 /**
