@@ -350,10 +350,13 @@ def test_a_project_has_the_folders_of_its_model_and_judges_as_its_solver_allows(
     for folder in ("scenes", "robots"):
         Path(folder).mkdir()
     Path("robot.xml").rename("robots/robot.xml")
-    Path("scenes/flat.xml").write_text('<mujoco><include file="../robots/robot.xml"/><option iterations="1"/></mujoco>')
+    Path("scenes/flat.xml").write_text('<mujoco><include file="../robots/robot.xml"/><option iterations="1"/>'
+                                        '<keyframe><key name="low"/></keyframe></mujoco>')  # fmt: skip
     assert main(["init", "--policy", "walk.onnx", "--mjcf", "scenes/flat.xml"]) == 0
     monkeypatch.chdir("walk")
-    assert "unsolved_share >" not in Path("scenarios/own.yaml").read_text()
+    scenario = Path("scenarios/own.yaml").read_text()
+    assert "unsolved_share >" not in scenario
+    assert "keyframe: home  # or low\n" in scenario
     system = compose(["study=push_delay"]).system
     assert (system.config.mjcf, system.model.opt.iterations) == ("scenes/flat.xml", 1)
 

@@ -80,7 +80,9 @@ def project_files(policy: Path, mjcf: Path, preset: str) -> dict[str, bytes]:
 
 def _scenario(network: str, mjcf: str, model: mujoco.MjModel) -> str:
     """Return the text of the scenario: a fall is half the height of the start, or a tilt."""
+    keyframes = [name for k in range(model.nkey) if (name := model.key(k).name)]
     keyframe = model.key(0).name if model.nkey else ""
+    others = f"  # or {', '.join(keyframes[1:])}" if len(keyframes) > 1 else ""
     free = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
     body = model.body(int(model.jnt_bodyid[free[0] if len(free) else 0])).name
     if not body:
@@ -93,7 +95,7 @@ def _scenario(network: str, mjcf: str, model: mujoco.MjModel) -> str:
         network=network,
         mjcf=mjcf,
         duration=DEFAULT_DURATION_S,
-        keyframe=f"  keyframe: {keyframe}\n" if keyframe else "",
+        keyframe=f"  keyframe: {keyframe}{others}\n" if keyframe else "",
         body=body,
         fell=fell,
         invalid=_invalid(model),
