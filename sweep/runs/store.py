@@ -88,6 +88,20 @@ def lock_folder(folder: Path) -> Iterator[None]:
         lock.release()
 
 
+def is_folder_locked(folder: Path) -> bool:
+    """Return whether a process holds the lock of a study's folder, as a run does."""
+    path = path_inside_folder(folder, LOCK_FILE)
+    if not path.exists():
+        return False
+    try:
+        with filelock.FileLock(path, timeout=0):
+            return False
+    except filelock.Timeout:
+        return True
+    except OSError:  # the folder cannot be written, which a run needs
+        return False
+
+
 def write_study(folder: Path, content: Mapping[str, Any]) -> None:
     """Write `study.yaml`: configuration, versions, devices. Raises `Fault` if the disk fails."""
     text = yaml.safe_dump({"format": FOLDER_FORMAT, **content}, sort_keys=False, allow_unicode=True)

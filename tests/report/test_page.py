@@ -1,6 +1,7 @@
 import re
 import sys
 from collections import defaultdict
+from contextlib import ExitStack
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 from matplotlib.collections import PolyCollection
 from moved import moved
 
+from sweep.cli import live_page
 from sweep.cli.main import main
 from sweep.config.experiment import compose
 from sweep.replay import motion
@@ -260,3 +262,15 @@ def test_a_thinned_motion_has_the_states_of_its_frames():
     assert again["frames"] == thin["frames"] == 16
     assert again["step"] == pytest.approx(0.3)
     assert again["states"] == thin["states"]
+
+
+def test_a_page_is_rewritten_until_its_run_ends(folder, monkeypatch, capsys):
+    seen = []
+    with ExitStack() as run:
+        run.enter_context(store.lock_folder(folder))
+        monkeypatch.setattr(live_page.time, "sleep", lambda _: run.close())
+        live_page.watch_run(folder, seen.append)
+    assert seen == [page.LiveProgress("The study runs: 180 of 180 rollouts are done", 5.0), None]
+    assert live_page.measure_progress(1000, 400, (200, 3.0), 13.0).text.endswith("20.0 a second, about 0:30 min left")
+    assert main(["report", str(folder), "--watch", "--replays", "2"]) == 2
+    assert "--watch is not allowed with" in capsys.readouterr().err

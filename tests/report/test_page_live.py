@@ -592,8 +592,11 @@ def test_python_writes_the_keys_that_the_script_reads(browser, refined, rare):
     told, folder = records(), refined
     found = results.read_results(folder)
     text = page.render_page(
-        found, [ShownReplay(0, found.rows.iloc[0], replays.replay_content(found.rows.iloc[0], moved()))]
+        found,
+        [ShownReplay(0, found.rows.iloc[0], replays.replay_content(found.rows.iloc[0], moved()))],
+        live=page.LiveProgress("The study runs", 5.0),
     )
+    assert "The study runs. This page reloads itself." in text
     about = json.loads(re.search(r'id="data">(.*?)</script>', text)[1])
     rows = pd.concat([found.rows] * (page.data.MAX_ROWS // len(found.rows) + 1), ignore_index=True)
     many = page.data.page_data(replace(found, rows=rows))

@@ -40,6 +40,9 @@ def add_arguments(parser: Arguments) -> None:
     parser.add_argument(
         "--pictures", action="store_true", help="add pictures of representative rollouts (simulates them again)"
     )
+    parser.add_argument(
+        "--watch", action="store_true", help="rewrite the page as rows arrive, until the run that adds them ends"
+    )
     add_output(parser, "write page and map to this folder instead of DIR")
 
 
@@ -52,6 +55,10 @@ def run(args: argparse.Namespace) -> int:
 
     if args.replays < 0:
         raise InputError(f"--replays = {args.replays} is not allowed: at least 0")
+    if args.watch:
+        if args.b or args.replays or args.pictures:
+            raise InputError("--watch is not allowed with a second folder, --replays or --pictures")
+        return watch_page(args)
     # what is simulated again or compared with another run is compared in all columns
     every = bool(args.b or args.replays or args.pictures)
     found, folder = results.read_results(args.dir, args.where, with_bookkeeping=every), args.output or args.dir
@@ -69,6 +76,25 @@ def run(args: argparse.Namespace) -> int:
     print(page.write_page(found, path_inside_folder(folder, "report.html"), chosen=columns))
     for path in save_pictures(found, folder, columns):
         print(path)
+    return DONE
+
+
+def watch_page(args: argparse.Namespace) -> int:
+    """Rewrite the page of a study while a run adds rows to it."""
+    from sweep.cli import live_page
+    from sweep.core.expressions import find_column
+    from sweep.report import page
+    from sweep.runs import results
+
+    path = path_inside_folder(args.output or args.dir, "report.html")
+
+    def write(progress: "page.LiveProgress | None") -> None:
+        found = results.read_results(args.dir, args.where, with_bookkeeping=False)
+        columns = tuple(find_column(found.rows, name) for name in (args.x, args.y) if name)
+        page.write_page(found, path, chosen=columns, live=progress)
+        print(f"{path}: {progress.text}" if progress else path, flush=True)
+
+    live_page.watch_run(args.dir, write)
     return DONE
 
 

@@ -100,12 +100,21 @@ class ComparisonPageContent:
     folders: tuple[str, ...]  # names of the studies
 
 
+@dataclass(frozen=True)
+class LiveProgress:
+    """Progress of a run whose page reloads itself."""
+
+    text: str
+    reload_s: float  # after which the page loads its next version
+
+
 def render_page(
     results: Results,
     shown: list[ShownReplay] | None = None,
     chosen: tuple[str, ...] = (),
     opened: int = 0,
     pairs: ComparisonPageContent | None = None,
+    live: LiveProgress | None = None,
 ) -> str:
     """Render the page of a study as HTML.
 
@@ -115,6 +124,7 @@ def render_page(
         chosen: columns that the map starts with.
         opened: how many of the first replays play when the page opens, at most two.
         pairs: content of a page that compares two studies.
+        live: progress of the run that adds rows, if there is one.
     """
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -156,6 +166,7 @@ def render_page(
     arrow = {"metres": FORCE_SCALE, "least": FORCE_SHOWN}
     about |= {"replays": replays.descriptions, "models": replays.models, "left_out": replays.omitted_count}
     about |= {"arrow": arrow, "open": opened, "legs": list(LEG_COLORS)}
+    about["reload_s"] = live.reload_s if live else 0
     return template.render(
         results=results,
         policy=content_security_policy(style, script),
@@ -164,6 +175,7 @@ def render_page(
         data=Markup(data.json_for_script_element(about | ({"name": pairs.name} if pairs else {}))),
         streams=Markup("\n".join(replays.streams)),
         rate=rate,
+        live=live.text if live else "",
         adaptive=results.exp.study.is_adaptive and not pairs,
         headline=study_headline(rows, results.exp) if results.exp.study.is_adaptive else "",
         sure=rate.has_interval,

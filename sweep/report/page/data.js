@@ -176,6 +176,7 @@ import { clamp } from "./numbers.js";
  * @property {number} open
  * @property {Arrow} arrow
  * @property {string[]} legs colours of the legs
+ * @property {number} reload_s seconds after which the page of a study that runs loads its next version; 0 for never
  * @property {{ success: string, failure: string }} colours of successes and failures in general
  */
 

@@ -74,6 +74,7 @@ const ADDRESS_DELAY = 250; // ms after which the address is updated
 /** @returns {Promise<void>} */
 async function startPage() {
   const about = JSON.parse(byId("data").textContent ?? "{}");
+  if (about.reload_s) setTimeout(() => location.reload(), 1000 * about.reload_s); // its address keeps the view
   const table = await readTable(about);
   if (!table.rows) return;
   document.documentElement.classList.add("live");
