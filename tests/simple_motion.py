@@ -97,7 +97,7 @@ def model_columns(
     motion, xp = motion.samples(), jnp if on_jax else np
     MODEL.opt.timestep = motion.period
     spec: Any = SimpleNamespace(
-        model=MODEL, base_address=0, config=SimpleNamespace(direction=(1.0, 0.0, 0.0), terrain=None),
+        model=MODEL, base_qpos_address=0, config=SimpleNamespace(direction=(1.0, 0.0, 0.0), terrain=None),
         touch_sensors=lambda key: [0] if key == "feet" else [],
     )  # fmt: skip
     parts, count = ModelPartIndices(spec), len(motion.position)

@@ -137,7 +137,7 @@ def test_modes_are_apart_however_they_are_caused():
     rows.loc[low, "cause"] = "slipped"
     rows.loc[high & ~low, "cause"] = np.where(rng.random((high & ~low).sum()) < 0.25, "slipped", "fell")
     rows["outcome"] = np.where(low | high, "failure", "success")
-    study = SimpleNamespace(search_design=ImportanceSampling(rounds=1), draw_context=DrawContext((), 0))
+    study = SimpleNamespace(adaptive_design=ImportanceSampling(rounds=1), draw_context=DrawContext((), 0))
     study.axes = [SimpleNamespace(name=name, column=name) for name in "abc"]
     found = rare.failure_modes(rows, SimpleNamespace(study=study))  # pyright: ignore[reportArgumentType]
     assert found["share"].tolist() == pytest.approx([0.635, 0.365], abs=0.05)

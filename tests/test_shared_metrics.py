@@ -88,7 +88,7 @@ def model_end():
 def test_what_a_rollout_does_after_its_end_changes_none_of_its_columns():
     """Also where it is not a number any more: 0 times such a number would be none either."""
     spec = SimpleNamespace(
-        model=MODEL, base_address=0, config=SimpleNamespace(direction=(1.0, 0.0, 0.0), terrain=None),
+        model=MODEL, base_qpos_address=0, config=SimpleNamespace(direction=(1.0, 0.0, 0.0), terrain=None),
         touch_sensors=lambda key: [0] if key == "feet" else [],
     )  # fmt: skip
     accumulator = MetricAccumulator(spec)

@@ -198,7 +198,7 @@ def rollout_table(exp: Experiment, row: pd.Series) -> str:
     lines = [(exp.scenario, str(row["outcome"]), "")]
     if row["outcome"] != "success":
         lines.append(("cause", str(row["cause"]), f"in stage {row['stage']}"))
-    for name in metric_columns(row.points_to_frame().T):
+    for name in metric_columns(row.to_frame().T):
         if name in exp.system.bookkeeping_metrics:
             continue
         words, unit = split_metric_column(name)

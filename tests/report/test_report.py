@@ -30,7 +30,7 @@ def rows():
     grid = pd.MultiIndex.from_product(
         [["mjx", "native"], np.linspace(0.2, 0.8, 4), [0.05, 0.1, 0.2]],
         names=["engine.name", "world.contact.friction", "manoeuvre.half_step_ratio"],
-    ).points_to_frame(index=False)
+    ).to_frame(index=False)
     slides = grid["world.contact.friction"] < 4 * grid["manoeuvre.half_step_ratio"]
     outcome = np.where(slides, "failure", "success").astype(object)
     outcome[[3, 15]] = "invalid"
@@ -190,7 +190,7 @@ def test_theory_is_a_curve_over_the_map_and_what_it_limits_is_beside():
     """On a pole (2.1.8) is k = sqrt(4 eps^2 + 1) P / 4 N, with N = U / d_c: 46.8 N m / U for the base robot."""
     stored = {"config": compose(["study=pole_torque_map"]).values}
     names = ["drive.torque_limit", "world.contact.friction"]
-    grid = pd.MultiIndex.from_product([[60.0, 120.0, 180.0], [0.3, 0.6]], names=names).points_to_frame(index=False)
+    grid = pd.MultiIndex.from_product([[60.0, 120.0, 180.0], [0.3, 0.6]], names=names).to_frame(index=False)
     rows = grid.assign(outcome="success", cause="", stage="", friction_demand_mean=[0.3, 0.4] * 3)
     left, right = maps.success_map(rows, stored).axes[:2]
     for ax in (left, right):
