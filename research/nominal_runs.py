@@ -36,9 +36,7 @@ def figures(words: list[str]) -> tuple[dict[str, Any], str]:
     """Outcome, cause and figures of one nominal rollout, and the device."""
     exp = compose(words)
     row = runner.run_single_batch(exp).iloc[0]
-    measured = {
-        name: float(f"{row[name]:.4g}") for name in metric_columns(row.to_frame().T) if is_number(row[name])
-    }
+    measured = {name: float(f"{row[name]:.4g}") for name in metric_columns(row.to_frame().T) if is_number(row[name])}
     return {"outcome": str(row["outcome"]), "cause": str(row["cause"]), **measured}, exp.system.device(exp.settings)
 
 
