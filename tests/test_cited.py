@@ -185,6 +185,7 @@ def figures(name, target):
     return [name] if target.get("picture", True) else []
 
 
+@pytest.mark.slow
 def test_every_target_can_be_run():
     for name, target in TARGETS.items():
         if "run" in target:
@@ -219,6 +220,7 @@ def test_what_is_beyond_its_interval_is_told_and_kept(monkeypatch, tmp_path):
     assert paper.told(one, after | {"quick": True, "success": 10}) == []  # coarser studies are others
 
 
+@pytest.mark.slow
 def test_what_fails_stops_nothing_else(monkeypatch, tmp_path, capsys):
     """Studies and scripts that there are not, in processes of their own, and two targets of one study in one."""
     same = {"run": ["study=no_such", "engine=fake"], "budget": [2, 2]}

@@ -37,7 +37,7 @@ from sweep.runs import refine
 from sweep.study import design_kinds
 
 SEEDS = range(100)
-FEW = 40  # studies of a case; all of them are slow
+FEW = 20  # studies of a case; all of them are slow
 COVERS, REJECTS = 0.93, 0.07
 CONSISTENT = 0.01  # probability of so few intervals that hold, if 93 % do
 GRID = {name: {"path": f"controller.{name}", "from": 0, "to": 1, "num": 21} for name in ("x1", "x2")}

@@ -11,6 +11,7 @@ import pytest
 import test_extending
 import test_printed_answers
 from fake_engine import FakeEngine
+from slow_cases import mark_slow_cases
 
 from sweep.cli import main as cli
 from sweep.cli.commands import command_names, make_parser
@@ -29,6 +30,10 @@ FOLLOWED = {
     test_printed_answers.PROJECT,
     *test_printed_answers.PAGES,
 }
+# their commands take over 10 s each
+SLOW_PAGES = [
+    ROOT / f"docs/{name}.md" for name in ("rare_failures", "tour", "compare", "boundary", "howto/search_a_plan")
+]
 BLOCK = re.compile(r"(?:^    .*\n|^\n(?=    ))+", re.MULTILINE)
 FENCE = re.compile(r"```(\w*)\n(.*?)```", re.DOTALL)
 
@@ -70,7 +75,10 @@ def samples(page):
 @pytest.mark.parametrize(
     "page",
     [
-        *(page for page in GUIDE if page not in FOLLOWED and page.parent.name not in ("reference", "tutorials")),
+        *mark_slow_cases(
+            [page for page in GUIDE if page not in FOLLOWED and page.parent.name not in ("reference", "tutorials")],
+            SLOW_PAGES,
+        ),
         *(pytest.param(page, marks=pytest.mark.slow) for page in EVIDENCE),  # minutes: hundreds of commands
     ],
     ids=lambda page: str(page.relative_to(ROOT)),

@@ -56,6 +56,7 @@ def test_a_failure_of_three_in_a_hundred_thousand_is_found_and_measured(fake_eng
     assert float(f"{digits}e{power}") == pytest.approx(told.probability, rel=0.02)
 
 
+@pytest.mark.slow
 @far
 def test_a_run_in_parts_draws_the_same(fake_engine, tmp_path):
     assert main([*STUDY, f"out={tmp_path / 'a'}"]) == 0

@@ -224,6 +224,7 @@ def test_parts_that_are_put_together_while_they_are_read_are_no_damage(folder, w
     assert len(store.list_current_parts(folder)) == 1
 
 
+@pytest.mark.slow
 def test_parts_are_put_together_without_changing_the_order_of_rows(tmp_path, monkeypatch):
     """Two engines, parts of a later extension, and gaps that are still to be run."""
     monkeypatch.setattr(repair, "MIN_MERGED_PARTS", 2)

@@ -328,6 +328,7 @@ def test_rows_equal_those_of_native(project, capsys):
     pd.testing.assert_frame_equal(alone[names], here[names], check_exact=True)  # bits depend on no batch
 
 
+@pytest.mark.slow
 def test_stored_kernels_are_told_apart_by_schedules_and_motors(project):
     """Both are constants of the kernel, which a later run would find stored."""
     fast = simulate("engine=kernel", "out=results/fast", "+schedule.speed=[[0,0.4]]")

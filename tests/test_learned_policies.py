@@ -130,6 +130,7 @@ def test_single_precision_stays_within_5_mm_of_a_plain_loop(here, shape, engine)
     compare_with_plain_loop(here, shape, engine, precision="float32", atol=5e-3)
 
 
+@pytest.mark.slow
 def test_a_recurrent_policy_runs_on_mjx_as_in_a_plain_loop(here):
     """A robot of one leg, in the air."""
     made = compare_with_plain_loop(here, "lstm", "mjx", legs=1)

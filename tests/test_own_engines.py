@@ -147,6 +147,7 @@ def test_warp_needs_its_extra(here, capsys):
     assert not Path("none").exists()
 
 
+@pytest.mark.slow
 def test_how_it_is_simulated_is_an_axis(here):
     how = ["timestep: {path: model.option.timestep, values: [0.002, 0.001]}",
            "cone: {path: model.option.cone, values: [pyramidal, elliptic]}",
@@ -180,6 +181,7 @@ def test_a_number_that_others_are_made_from_is_no_parameter(here):
     np.testing.assert_allclose(store.read_rows(Path("made"))["model.body.trunk.mass"], [0.8, 1.6])
 
 
+@pytest.mark.slow
 def test_an_audit_tells_robot_from_simulator(here, capsys):
     assert main(["run", "study=study.yaml", "out=whole", "study.axes.rub.values=[0.1]"]) == 0
     assert main(["audit", "whole", "--points", "3"]) == 0

@@ -65,6 +65,7 @@ def checked(axes, capsys, *more):
     return code, out, {f"{c} {on}".strip(): (where, why) for c, on, where, why in found}, err
 
 
+@pytest.mark.slow
 def test_of_a_thousand_dead_axes_none_is_unsaid(here, capsys):
     dead = [
         *(f"model.site.s{k}.pos.x" for k in range(SITES)),

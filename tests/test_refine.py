@@ -174,6 +174,7 @@ NOISY = ["+study.axes.f={path: contact.friction, side: world, from: 0.05, to: 0.
 noisy = pytest.mark.parametrize("fake_engine", [NoisyEngine], indirect=True)
 
 
+@pytest.mark.slow
 @noisy
 def test_noisy_points_get_rollouts_until_decided_or_the_budget_is_spent(tmp_path, fake_engine, capsys):
     assert main(["run", *NOISY, "study.level=0.7", "study.budget=6000", f"out={tmp_path}"]) == 0

@@ -20,6 +20,7 @@ STUDY = [
 leading = pytest.mark.parametrize("fake_engine", [LeadingEngine], indirect=True)
 
 
+@pytest.mark.slow
 @leading
 def test_a_failure_of_three_in_a_hundred_thousand_is_found_and_measured_in_parts_or_not(fake_engine, tmp_path, capsys):
     assert main([*STUDY, f"out={tmp_path / 'a'}"]) == 0
@@ -50,6 +51,7 @@ def test_a_failure_of_three_in_a_hundred_thousand_is_found_and_measured_in_parts
     assert len(stricter.rows) == len(found.rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fake_engine", [CliffEngine], indirect=True)
 def test_a_margin_that_does_not_lead_is_told_and_another_lead_may_do(fake_engine, tmp_path, capsys):
     assert main([*STUDY, f"out={tmp_path / 'cliff'}"]) == 0

@@ -144,6 +144,7 @@ def test_numbers_are_free_by_pattern_times_only_by_a_step():
             parse_free_plan_numbers(at, [wrong])
 
 
+@pytest.mark.slow
 def test_a_plan_that_touches_is_tuned_until_it_does_not(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "low.yaml").write_text("extends: pole_top\nover:\n  front: {base: [-0.019, 0.34, 22]}\n")

@@ -10,6 +10,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from slow_cases import mark_slow_cases
 from small_study import STUDY, content, one_line
 
 from sweep.api import load
@@ -92,9 +93,11 @@ def test_a_manifest_line_with_values_of_other_types_is_one_line(folder, capsys):
         one_line(capsys.readouterr().err, "manifest.txt, line 1 is no entry")
 
 
-@pytest.mark.parametrize("name", [store.STUDY_FILE, store.POINTS_FILE, manifest.MANIFEST_FILE, store.LOG_FILE,
-                                  store.LOCK_FILE, "report.html",
-                                  "parts", "part"])  # fmt: skip
+LINKS = [store.STUDY_FILE, store.POINTS_FILE, manifest.MANIFEST_FILE, store.LOG_FILE, store.LOCK_FILE, "report.html",
+         "parts", "part"]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", mark_slow_cases(LINKS, [store.LOG_FILE, store.LOCK_FILE]))
 def test_a_link_that_leads_out_of_the_folder_is_not_followed(folder, secret, capsys, name):
     path = folder / (store.list_current_parts(folder)[0].file if name == "part" else name)
     if name == "parts":

@@ -78,6 +78,7 @@ def test_a_full_disk_leaves_the_old_output(folder, tmp_path, monkeypatch, capsys
     assert before == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
 
 
+@pytest.mark.slow
 def test_an_open_file_is_added_to_where_it_is(folder, tmp_path):
     """A log that the shell has opened, and a link to it, keep what is there; other files are put in place whole."""
     log, link, other = tmp_path / "log", tmp_path / "link", tmp_path / "other"

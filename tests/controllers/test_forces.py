@@ -97,6 +97,7 @@ def _program(p: ForcePlanningPose, bounds: ForceBounds, least: str) -> float:
     return float(found.x[18] * weight) if found.status == 0 else np.inf
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("least", ["friction", "torque"])
 def test_forces_ask_for_hardly_more_than_a_linear_program_finds(least):
     """Within 4 %: the smooth centre's distance to the extreme, and the pyramid's to the cone."""

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from playing import play_case, vary_lengths
+from slow_cases import mark_slow_cases
 
 from sweep.config.experiment import compose
 from sweep.controllers.plan import Plan, reference_stance
@@ -17,7 +18,7 @@ RADIUS, LENGTH = 0.42, 1.05  # m
 HEIGHT = {"level": -0.2, "above": 0.35, "below": -0.6}  # a_r, of the ledge over the pole's top
 
 
-@pytest.fixture(scope="module", params=HEIGHT)
+@pytest.fixture(scope="module", params=mark_slow_cases(HEIGHT, ["below", "above"]))
 def case(request) -> Case:
     return compose([f"scenario=pole_ledge_{request.param}", "manoeuvre.forces=deepening"]).case
 

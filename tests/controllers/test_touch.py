@@ -262,6 +262,7 @@ def test_balls_tell_their_radius_by_how_high_they_lie(scenario):
     assert before == belief.obstacle
 
 
+@pytest.mark.slow
 def test_feet_on_the_rungs_of_a_ladder_that_leans_otherwise_tell_their_step():
     belief = compose(["scenario=ladder_climb", "control.touch=obstacle", "control.replan=touched"]).case
     ladder = belief.obstacle_of_type(Ladder)

@@ -28,6 +28,7 @@ def walks():
     return figures
 
 
+@pytest.mark.slow
 def test_a_rollout_is_that_of_xla_to_round_off(walks):
     fused, xla = walks("fused"), walks("xla")
     for name in ("distance_m", "duration_s", "tilt_max_deg", "torque_peak_alpha_nm"):

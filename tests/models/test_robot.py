@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from dense import Dense, dense
 from mujoco import mjx
+from slow_cases import mark_slow_cases
 
 from sweep.backends import devices
 from sweep.config.experiment import compose
@@ -68,7 +69,7 @@ def smooth_batch(nominal: Case, case: Case, q: np.ndarray, v: np.ndarray) -> tup
     return top, _compiled[nominal.robot.legs]({**fields, "body_quat": mounted}, q, v)
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", mark_slow_cases(ROBOTS, ROBOTS[1:]))
 def test_swept_leaves_equal_fresh_models(name):
     rng = np.random.default_rng(ROBOTS.index(name))
     nominal = compose([f"robot={name}"]).case

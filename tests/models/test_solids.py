@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 from slab import Slab
+from slow_cases import mark_slow_cases
 
 from sweep.engines.batch_last import batch_last_vmap
 from sweep.models.obstacles import Ball, Beam, Corner, Plane, PoleLedge
@@ -144,7 +145,7 @@ def test_distances_are_mujocos_on_many_poses(name):
     assert np.all(expected[wrong] < -RADIUS)
 
 
-@pytest.mark.parametrize("name", ["corner", "thin_pole"])
+@pytest.mark.parametrize("name", mark_slow_cases(["corner", "thin_pole"], ["thin_pole"]))
 def test_distances_batch_in_any_precision_and_have_derivatives(name):
     """Over the last axis, in double precision, and pushed forward: the same numbers, all of them finite."""
     rng = np.random.default_rng(2)

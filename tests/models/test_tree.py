@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from dense import dense
 from slab import Slab
+from slow_cases import mark_slow_cases
 
 from sweep.config.experiment import compose
 from sweep.core.errors import InputError
@@ -37,8 +38,8 @@ def random_states(model, rng):
     return q, v
 
 
-@pytest.mark.parametrize("double", [True, False])
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("double", mark_slow_cases([True, False], [False]))
+@pytest.mark.parametrize("name", mark_slow_cases(ROBOTS, ROBOTS[1:]))
 def test_structure_gives_mujocos_blocks(name, double):
     """Mass matrix, bias, Jacobians and places of C MuJoCo's, to round-off of the largest number of each."""
     case, rng = case_of(name), np.random.default_rng(ROBOTS.index(name))

@@ -21,6 +21,7 @@ def wrong():
     return faults.errors_with_faults(law())
 
 
+@pytest.mark.slow
 def test_nothing_is_left_out(errors):
     assert set(FIGURES) < set(errors)
     assert len(errors) - len(FIGURES) == 8  # the robot's stances
@@ -33,6 +34,7 @@ def test_what_is_known_comes_out(errors, name):
     assert faults.broken_bounds([(key, *both) for key, both in chosen.items()]) == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", faults.FAULTS)
 def test_each_fault_breaks_a_bound_and_none_breaks_none(wrong, errors, name):
     found = wrong[name]

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from fake_engine import FakeEngine
+from slow_cases import mark_slow_cases
 
 from sweep.cli.commands.report import save_pictures
 from sweep.cli.main import main
@@ -83,6 +84,7 @@ DESIGNS = {
     "budgeted": study(some(LISTED, "friction", "step"), "study.budget=60", "study.replicates=2",
                       "noise.position_noise=0.001"),
 }  # fmt: skip
+SLOW_DESIGNS = ["importance", "subset", "listed_by_400_drawn", "drawn_400", "refined_in_three"]  # over 5 s each
 POINTS = {
     "one_point": {"world.contact.friction": [0.5]},
     "points_of_2": {"world.contact.friction": np.linspace(0.1, 1, 20), "robot.body_mass": np.linspace(12, 8, 20)},
@@ -153,7 +155,7 @@ def test_a_study_of_many_figures_is_told(fake_engine, tmp_path):
     told(tmp_path)
 
 
-@pytest.mark.parametrize("design", DESIGNS)
+@pytest.mark.parametrize("design", mark_slow_cases(DESIGNS, SLOW_DESIGNS))
 def test_a_study_of_any_design_is_told(design, fake_engine, tmp_path):
     ran(tmp_path, *DESIGNS[design])
     told(tmp_path)

@@ -1212,6 +1212,7 @@ def test_on_paper_the_figures_stand(browser, repeated):
     assert browser.errors == []
 
 
+@pytest.mark.slow
 def test_a_million_rows_are_densities(browser, wide, tmp_path):
     found = results.read_results(wide)
     rows = pd.concat([found.rows] * 3, ignore_index=True)

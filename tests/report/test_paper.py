@@ -10,12 +10,15 @@ import pandas as pd
 import pytest
 from matplotlib.font_manager import fontManager
 from matplotlib.text import Text
+from slow_cases import mark_slow_cases
 
 from sweep.cli.main import main
 from sweep.core.plot_style import MAX_HEIGHT_IN, OTHER_FONTS, new_figure, plot_style
 from sweep.report import paper
 from sweep.report.figures import list_figures
 from sweep.runs import results, store
+
+OTHERS = ["figures/of_another.pdf", "data/of_another.csv", "main.tex"]  # files of somebody else in the folder
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +129,7 @@ def test_names_and_words_are_fit_for_latex():
     assert paper.escape_latex("[a_r], [m⁴]") == r"[$a_r$], [m\textsuperscript{4}]"
 
 
-@pytest.mark.parametrize("name", ["figures/of_another.pdf", "data/of_another.csv", "main.tex"])
+@pytest.mark.parametrize("name", mark_slow_cases(OTHERS, OTHERS[1:]))
 def test_a_paper_is_made_anew_in_its_folder_but_not_in_another_s(bundle, folder, tmp_path, name, capsys):
     shutil.copytree(bundle, out := tmp_path / "paper")
     assert main(["export", str(folder), "--paper", str(out)]) == 0

@@ -76,6 +76,7 @@ def stretch(case, stance, leg):
     return float(jnp.linalg.norm(feet_in_hip_axes(case.robot, stance)[leg - 1]) / (case.robot.thigh + case.robot.shin))
 
 
+@pytest.mark.slow
 def test_a_base_goes_on_until_the_mass_centre_is_over_the_feet_that_stand_next():
     """Check 5."""
     case, at = planned(ahead3_base_ahead=-0.28)
