@@ -51,13 +51,11 @@ def audit_study(what: str) -> list[str]:
     run_command(["run", f"study={name}.yaml", f"engine={engines.partition(',')[0]}", f"out={name}"])
     run_command(["audit", name, "--engines", engines])
     results = read_results(Path(name))
-    rate, counts = (
-        engine_audit.agreement_rate(results),
-        engine_audit.engine_outcome_table(engine_audit.read_engine_outcomes(results)),
-    )
+    rate = engine_audit.agreement_rate(results)
+    counts = engine_audit.engine_outcome_table(engine_audit.read_engine_outcomes(results))
     differ = counts[counts[engine_audit.AGREE] == engine_audit.NO]
     told = [
-        f"{line['rollouts']} {', '.join(str(line[c]) for c in counts if str(c).startswith('outcome on '))}"
+        f"{line['rollouts']} {', '.join(line[c] for c in engine_audit.outcome_columns(counts))}"
         for line in differ.to_dict("records")
     ]
     interval = f"{format_percent(rate.low)} to {format_percent(rate.high)}"

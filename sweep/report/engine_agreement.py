@@ -1,4 +1,4 @@
-"""Map of the rows on which engines agree, and of the region in which they do not."""
+"""Map of the rows on which all engines give the same outcome, and of those on which they do not."""
 
 from collections.abc import Iterator
 
@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from sweep.analysis.stats import bin_values, format_percent
 from sweep.core.distinct_values import count_distinct
+from sweep.core.outcomes import FAILURE
 from sweep.core.plot_style import COLUMN_WIDTH_IN, new_figure
 from sweep.report.cells import axis_positions, is_evenly_spaced, label_axis_values, lay_out_cells
 from sweep.report.figure import StudyFigure
@@ -23,12 +24,12 @@ FEWEST_BINS, MOST_BINS, ROWS_PER_BIN = 4, 40, 10  # bins along an axis, and the 
 
 
 def engine_figure(results: Results) -> Iterator[StudyFigure]:
-    """Yield the map of audited rows on which all engines agree, and of the region in which they do not."""
+    """Yield the map of the rows of an audit on several engines; nothing if the study was not audited so."""
     x_y, found = results.numeric_columns[:2], engine_audit.read_engine_outcomes(results)
     if len(x_y) < 2 or found.empty:
         return
-    engines = [c for c in found if str(c).startswith("outcome on ")]
-    names, rate = ", ".join(str(c).removeprefix("outcome on ") for c in engines), engine_audit.agreement_rate(results)
+    engines, rate = engine_audit.outcome_columns(found), engine_audit.agreement_rate(results)
+    names = ", ".join(column.removeprefix(engine_audit.OUTCOME_ON) for column in engines)
     sure = f" ({format_percent(rate.low)} to {format_percent(rate.high)})" if rate.has_interval else ""
     caption = (
         f"Share of rollouts on which the engines {names} give the same valid outcome: {rate.successes:,} of "
@@ -55,7 +56,7 @@ def _draw_engines(results: Results, data: pd.DataFrame) -> Figure:
         data[name] if is_evenly_spaced(places) else axis_positions(cells[axis].to_numpy(), places)
         for name, axis, places in ((x, "x", layout.x), (y, "y", layout.y))
     )
-    failed = agree & (data.filter(like="outcome on ").iloc[:, 0] == "failure").to_numpy()
+    failed = agree & (data[engine_audit.outcome_columns(data)[0]] == FAILURE).to_numpy()
     for chosen, mark, colour in ((failed, ".", "0.3"), (~agree, "x", FAILURE_COLOUR)):
         ax.plot(across[chosen], up[chosen], mark, color=colour, markersize=3)
     ax.set(xlabel=axis_title(x, results.exp), ylabel=axis_title(y, results.exp))

@@ -4,6 +4,8 @@ Each other engine simulates the same points in a study of its own below the fold
 continues. Whether all engines agree becomes the column `engines_agree` of the study's rows.
 """
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 
@@ -12,6 +14,7 @@ from sweep.analysis.stats import SuccessRate
 from sweep.contract.system import AuditVariant
 from sweep.core.errors import InputError, require_choice
 from sweep.core.files import path_inside_folder
+from sweep.core.outcomes import FAILURE, INVALID, SUCCESS
 from sweep.runs import runner, store
 from sweep.runs.audit import (
     AUDIT_FOLDER,
@@ -27,6 +30,7 @@ from sweep.study.study import Logger
 FOLDER_PREFIX, EVERY_ENGINE = "engine_", "all"
 (AGREE,) = VERDICT_COLUMNS
 YES, NO = "yes", "no"
+OUTCOME_ON = "outcome on "  # start of the columns with the outcome on each engine, before its name
 
 
 def run_engine_audit(
@@ -63,7 +67,7 @@ def run_engine_audit(
     outcomes = chosen.set_index("point_id")[["outcome"]].rename(columns={"outcome": own})
     for name in others:
         variant = AuditVariant(f"on {name}", lambda settings, name=name: exp.system.select_engine(settings, name))
-        folder = path_inside_folder(results.folder, f"{AUDIT_FOLDER}/{FOLDER_PREFIX}{name}")
+        folder = engine_study_folder(results.folder, name)
         try:
             study, table = make_variant_study(exp, variant, points, folder)
         except InputError as error:
@@ -73,12 +77,26 @@ def run_engine_audit(
                 on_message(f"audit: {name} is left out: {error}")
             continue
         simulate_variant(study, table, progress)
-        again = store.read_rows(folder, ["point_id", "outcome"]).set_index("point_id")["outcome"]
-        outcomes[name] = again.reindex(outcomes.index)
+        outcomes[name] = read_outcomes_by_point(folder).reindex(outcomes.index)
     if outcomes.shape[1] < 2:
         raise InputError(f"no engine but {own} can simulate these rows")
     with store.lock_folder(results.folder):
         store.write_verdicts(results.folder, judge_agreement(outcomes))
+
+
+def engine_study_folder(folder: Path, engine: str) -> Path:
+    """Return the folder of the study that simulates audited rows on another engine.
+
+    Args:
+        folder: Folder of the audited study.
+        engine: Name of the other engine.
+    """
+    return path_inside_folder(folder, f"{AUDIT_FOLDER}/{FOLDER_PREFIX}{engine}")
+
+
+def read_outcomes_by_point(folder: Path) -> pd.Series:
+    """Read the outcome of each row of a study, by `point_id`."""
+    return store.read_rows(folder, ["point_id", "outcome"]).set_index("point_id")["outcome"]
 
 
 def first_rows_by_point_id(ids: pd.Series, most: int) -> np.ndarray:
@@ -104,7 +122,7 @@ def judge_agreement(outcomes: pd.DataFrame) -> pd.Series:
         `yes` where all are a success or all a failure, else `no`, (n,) with the index of `outcomes`.
     """
     first = outcomes.iloc[:, 0]
-    agree = outcomes.eq(first, axis=0).all(axis=1) & (first != "invalid")
+    agree = outcomes.eq(first, axis=0).all(axis=1) & (first != INVALID)
     return pd.Series(np.where(agree, YES, NO), outcomes.index, name=AGREE)
 
 
@@ -117,22 +135,31 @@ def read_engine_outcomes(results: Results) -> pd.DataFrame:
     Returns:
         The audited rows of the study, with a column `outcome on ENGINE` for each engine whose study has all of them.
     """
-    audited = results.rows[results.rows[AGREE] != ""] if AGREE in results.rows else results.rows.iloc[:0]
+    audited = audited_rows(results)
     if audited.empty:
         return audited
     own = apply_stored_engine_settings(results).settings.name
-    table = audited.assign(**{f"outcome on {own}": audited["outcome"]})
+    table = audited.assign(**{f"{OUTCOME_ON}{own}": audited["outcome"]})
     for name in results.exp.system.engine_names:
-        path = f"{AUDIT_FOLDER}/{FOLDER_PREFIX}{name}"
-        folder = path_inside_folder(results.folder, path)
-        if name == own or not path_inside_folder(results.folder, f"{path}/{store.STUDY_FILE}").exists():
+        folder = engine_study_folder(results.folder, name)
+        if name == own or not path_inside_folder(folder, store.STUDY_FILE).exists():
             continue
         if not store.finished_batches(folder):
             continue
-        again = store.read_rows(folder, ["point_id", "outcome"]).set_index("point_id")["outcome"]
+        again = read_outcomes_by_point(folder)
         if audited["point_id"].isin(again.index).all():
-            table[f"outcome on {name}"] = again.reindex(audited["point_id"]).to_numpy()
+            table[f"{OUTCOME_ON}{name}"] = again.reindex(audited["point_id"]).to_numpy()
     return table
+
+
+def audited_rows(results: Results) -> pd.DataFrame:
+    """Return the rows of a study that were simulated on several engines; none if the study was not audited so."""
+    return results.rows[results.rows[AGREE] != ""] if AGREE in results.rows else results.rows.iloc[:0]
+
+
+def outcome_columns(outcomes: pd.DataFrame) -> list[str]:
+    """Return the columns `outcome on ENGINE` of a table from `read_engine_outcomes`, or of one made from it."""
+    return [name for name in map(str, outcomes) if name.startswith(OUTCOME_ON)]
 
 
 def agreement_rate(results: Results) -> SuccessRate:
@@ -141,10 +168,9 @@ def agreement_rate(results: Results) -> SuccessRate:
     Args:
         results: Finished rows of a study with the column `engines_agree`.
     """
-    audited = results.rows[results.rows[AGREE] != ""]
-    return pooled_success_rate(
-        audited.assign(outcome=np.where(audited[AGREE] == YES, "success", "failure")), results.exp
-    )
+    audited = audited_rows(results)
+    agreed = audited.assign(outcome=np.where(audited[AGREE] == YES, SUCCESS, FAILURE))
+    return pooled_success_rate(agreed, results.exp)
 
 
 def engine_outcome_table(outcomes: pd.DataFrame) -> pd.DataFrame:
@@ -156,13 +182,13 @@ def engine_outcome_table(outcomes: pd.DataFrame) -> pd.DataFrame:
     Returns:
         A row for each combination: the outcome on each engine, `rollouts`, and `engines_agree`.
     """
-    columns = [c for c in outcomes if str(c).startswith("outcome on ")]
+    columns = outcome_columns(outcomes)
     counted = outcomes.groupby([*columns, AGREE], observed=True).size().rename("rollouts").reset_index()
     return counted.sort_values("rollouts", ascending=False, ignore_index=True)[[*columns, "rollouts", AGREE]]
 
 
 def undecided_region(results: Results) -> pd.DataFrame:
-    """Return where the rows lie on which engines do not agree: their range along each numeric parameter.
+    """Return the range along each numeric parameter of the rows on which engines do not agree.
 
     Args:
         results: Finished rows of a study with the column `engines_agree`.
@@ -170,7 +196,7 @@ def undecided_region(results: Results) -> pd.DataFrame:
     Returns:
         A row for each parameter (`axis`): `from` and `to` of these rows, and of all audited rows.
     """
-    audited = results.rows[results.rows[AGREE] != ""]
+    audited = audited_rows(results)
     undecided = audited[audited[AGREE] == NO]
     lines = [
         (c, undecided[c].min(), undecided[c].max(), audited[c].min(), audited[c].max()) for c in results.numeric_columns
