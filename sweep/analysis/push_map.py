@@ -192,19 +192,9 @@ def fisher_p(success: np.ndarray, trials: np.ndarray, other: np.ndarray, other_t
     Returns:
         Probabilities (m,) of at least so many successes, if the rates are equal.
     """
-    from scipy.special import gammaln
+    from scipy.stats import hypergeom  # slow to import
 
-    def log_choices(n: np.ndarray, k: np.ndarray) -> np.ndarray:
-        return gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1)
-
-    total = success + other
-    number = success[:, None] + np.arange(int(trials.max(initial=0)) + 1)  # of successes, at least those observed
-    others = total[:, None] - number
-    possible = (number <= trials[:, None]) & (others >= 0) & (others <= other_trials[:, None])
-    number = np.where(possible, number, success[:, None])
-    weight = log_choices(trials[:, None], number) + log_choices(other_trials[:, None], total[:, None] - number)
-    law = np.exp(weight - log_choices(trials + other_trials, total)[:, None])
-    return np.minimum((law * possible).sum(axis=1), 1.0)
+    return hypergeom.sf(success - 1, trials + other_trials, success + other, trials)
 
 
 def _bracket(counts: SizeCounts) -> tuple[float, float]:

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from sweep.cli.run_progress import format_minutes
 from sweep.core.errors import InputError
 from sweep.report.page import LiveProgress
 from sweep.runs import store
@@ -57,6 +58,5 @@ def measure_progress(planned: int, done: int, first: tuple[int, float], now: flo
     earlier, since = first
     if done > earlier:
         rate = (done - earlier) / (now - since)
-        left = int((planned - done) / rate)
-        text += f", {rate:,.1f} a second, about {left // 60}:{left % 60:02d} min left"
+        text += f", {rate:,.1f} a second, about {format_minutes((planned - done) / rate)} min left"
     return LiveProgress(text, LEAST_INTERVAL_S)

@@ -13,14 +13,15 @@ from sweep.runs import results, store
 from sweep.study.study import parameter_columns
 
 MAX_LIMITS = 3  # pairs of cause and stage that are described
-MIN_SEPARATION = 0.85  # share of pairs of a failed and a successful draw that a size orders alike, to be named
+MIN_SEPARATION = 0.85  # of a parameter that is named, see `_share_ordered_alike`
 MIN_FAILURES = 3  # failed draws whose sizes are compared with those of successes
 
 
 def describe_limits(folder: Path) -> list[str]:
-    """Describe what limits a plan: for the most frequent causes by stage, the part of the robot, the metric, the sizes.
+    """Describe what limits a plan: which part of the robot fails, by which metric, and at which sizes.
 
-    The draw with the least margin of each cause and stage is simulated again to find the part.
+    This is said for each of the most frequent pairs of cause and stage. To find the part, the draw with the least
+    margin is simulated again.
 
     Args:
         folder: Results of simulated draws.
@@ -64,7 +65,10 @@ def describe_separating_sizes(failed: pd.DataFrame, succeeded: pd.DataFrame) -> 
 
 
 def _share_ordered_alike(first: Float[np.ndarray, " n"], second: Float[np.ndarray, " m"]) -> float:
-    """Share of the pairs that one order explains, from 0.5 to 1."""
+    """Share of pairs of two values, one from each sample, of which the same sample has the larger one.
+
+    It is 0.5 if the samples do not differ, and 1 if no values overlap.
+    """
     above = float(np.mean(first[:, None] > second) + np.mean(first[:, None] == second) / 2)
     return max(above, 1 - above)
 

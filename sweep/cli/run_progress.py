@@ -48,7 +48,12 @@ class RemainingTimeEstimate:
     def remaining_text(self) -> str:
         """Format the remaining time as minutes and seconds, or dashes while it is unknown."""
         seconds = self.remaining_s()
-        return "-:-- left" if seconds is None else f"{int(seconds) // 60}:{int(seconds) % 60:02d} left"
+        return f"{'-:--' if seconds is None else format_minutes(seconds)} left"
+
+
+def format_minutes(seconds: float) -> str:
+    """Format a duration as minutes and seconds, such as `2:05`."""
+    return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"
 
 
 class LiveProgressColumn(ProgressColumn):

@@ -9,18 +9,18 @@ from jaxtyping import Array, Float
 
 from sweep.contract.engine import Trace
 from sweep.core.rotations import matrix, rotate
+from sweep.engines.closed_loop import free_body_state
 from sweep.fused import eager
 from sweep.models.case import Case
 from sweep.models.geometry import gap_between_legs, leg_base_gap, link_capsules, thigh_shin_gap
 from sweep.models.legs import JOINT_Q, LEG_NAMES, LEGS, N_LEGS
-from sweep.models.obstacles.surface import BodyPoses
+from sweep.models.obstacles.surface import BodyPoses, body_poses
 from sweep.models.posture import leg_joint_positions
 from sweep.models.robot import base_half_size
 from sweep.models.solids import distance_to_box
 
 NAMES = [LEG_NAMES[leg].replace("_", " ") for leg in LEGS]
 PAIRS = [(i, j) for j in range(N_LEGS) for i in range(j)]
-POSE_SIZE = 7  # numbers of a free body's position and quaternion, which come last in MuJoCo's positions
 FAR_M = 1e3  # m, where legs are put that do not count
 FOOT_CAUSES = ("slipped", "unreachable", "lifted_off")
 
@@ -60,10 +60,10 @@ def describe_limiting_part(trace: Trace, cause: str, stage: str) -> str:
 
 
 def _pose(world: Case, qpos: Float[Array, " n"]) -> Pose:
-    count = (len(qpos) - JOINT_Q.stop) // POSE_SIZE
-    free = qpos[len(qpos) - POSE_SIZE * count :].reshape(count, POSE_SIZE)
+    count = len(world.obstacle.free_bodies)
+    bodies = body_poses(free_body_state(qpos, jnp.zeros(6 * count), count))  # velocities do not matter
     legs = qpos[:3] + rotate(qpos[3:7], leg_joint_positions(world.robot, qpos[JOINT_Q].reshape(N_LEGS, 3)))
-    return Pose(world, (qpos[:3], matrix(qpos[3:7])), legs, BodyPoses(free[:, :3], matrix(free[:, 3:])))
+    return Pose(world, (qpos[:3], matrix(qpos[3:7])), legs, bodies)
 
 
 def _gaps_to_obstacle(pose: Pose) -> Float[Array, " 13"]:
@@ -91,7 +91,7 @@ def _gaps_of_folds(pose: Pose) -> Float[Array, " 6"]:
 
 
 def _gaps_of_legs(gap: Callable[[Float[Array, "6 k 3"]], Array], pose: Pose) -> Float[Array, " 6"]:
-    """The least gap of each leg: that of six equal legs."""
+    """Gap of each leg, by a function of the least gap of six: all six are put where the leg is."""
     return jnp.stack([gap(jnp.broadcast_to(leg, pose.legs.shape)) for leg in pose.legs])
 
 

@@ -30,7 +30,6 @@ from sweep.report.page.script import bundle_script, content_security_policy, sty
 from sweep.runs import store
 from sweep.runs.results import Results
 
-MIRRORED = {BETTER: WORSE, WORSE: BETTER, OPEN: OPEN}
 CLASSES = {BETTER: "better", WORSE: "worse", OPEN: "open"}
 
 
@@ -153,20 +152,20 @@ def pair_matrix(pairs: pd.DataFrame, policies: list[str]) -> Iterator[tuple[str,
     """
     cells: dict[tuple[str, str], dict[str, Any]] = {}
     for one in pairs.to_dict("records"):
-        verdict = one.get("verdict", NOT_DECIDED)
-        sign = OPEN if verdict == NOT_DECIDED else BETTER if verdict == one["a"] else WORSE
-        if "verdict" not in one:
-            sign = ""
-        low, high = one.get("low", 0.0), one.get("high", 0.0)
+        verdict, low, high = one.get("verdict"), one.get("low", 0.0), one.get("high", 0.0)
         for first, second, way in ((one["a"], one["b"], 1), (one["b"], one["a"], -1)):
-            shown = sign if way > 0 else MIRRORED.get(sign, "")
-            ends = (low, high) if way > 0 else (-high, -low)
+            if verdict is None:
+                sign = ""
+            elif verdict == NOT_DECIDED:
+                sign = OPEN
+            else:
+                sign = BETTER if verdict == first else WORSE
             cells[first, second] = {
                 "difference": way * one["difference"],
-                "low": ends[0],
-                "high": ends[1],
-                "sign": shown,
-                "verdict": CLASSES.get(shown, "open"),
+                "low": low if way > 0 else -high,
+                "high": high if way > 0 else -low,
+                "sign": sign,
+                "verdict": CLASSES.get(sign, "open"),
             }
     for first in policies:
         yield first, [cells.get((first, second)) for second in policies]

@@ -81,7 +81,7 @@ def page_data(results: Results, chosen: tuple[str, ...] = (), derived: Sequence[
         for c, (about, _) in zip((*axes, *figures), coded, strict=True)
     ]
     columns += [
-        {"key": one.key, "label": one.label, "unit": "", "path": "", "axis": False, "drawn": True, "diverges": False}
+        {"key": one.name, "label": one.name, "unit": "", "path": "", "axis": False, "drawn": True, "diverges": False}
         | {"limit": None, "derived": True, "names": one.names}
         for one in derived
     ]

@@ -21,12 +21,11 @@ OUTLINE_DIGITS = 5  # significant digits of an outline's points
 
 @dataclass(frozen=True)
 class DerivedColumn:
-    """A column of the page that no command knows: a name for each row, or none."""
+    """A column of the page that is not in the table: it names for each row the group to which it belongs, if any."""
 
-    key: str
-    label: str
-    names: list[str]
-    codes: np.ndarray  # place (n,) of each row's name in `names`, -1 for none
+    name: str
+    names: list[str]  # of the groups
+    codes: np.ndarray  # index (n,) of each row's group in `names`, -1 for none
 
 
 def describe_estimate(results: Results) -> tuple[dict[str, Any], DerivedColumn] | None:
@@ -57,9 +56,7 @@ def describe_estimate(results: Results) -> tuple[dict[str, Any], DerivedColumn] 
         )
     low, high = found.interval
     values = {"probability": found.probability, "low": low, "high": high}
-    return {**values, "reliable": found.is_reliable, "modes": modes}, DerivedColumn(
-        "failure mode", "failure mode", names, codes
-    )
+    return {**values, "reliable": found.is_reliable, "modes": modes}, DerivedColumn("failure mode", names, codes)
 
 
 def describe_region(results: Results) -> tuple[dict[str, Any], DerivedColumn] | None:
@@ -98,7 +95,7 @@ def describe_region(results: Results) -> tuple[dict[str, Any], DerivedColumn] | 
     ]
     is_section = not isinstance(region.score, NestedBoxes) and len(region.names) > 2
     about = {"text": text, "start": [region.names[k] for k in order[:2]], "outlines": outlines, "section": is_section}
-    column = DerivedColumn("certified region", "certified region", ["inside", "outside"], np.where(inside, 0, 1))
+    column = DerivedColumn("certified region", ["inside", "outside"], np.where(inside, 0, 1))
     return about, column
 
 
