@@ -1,9 +1,14 @@
-"""Speed and agreement of the engine `kernel`: `python bench/own_kernel.py [WIDTH [AGAIN]]`, on a CPU or an NVIDIA GPU.
+"""Speed and agreement of the engine `kernel` on a CPU or an NVIDIA GPU.
+
+    python bench/own_kernel.py [WIDTH [AGAIN [WORD ...]]]
 
 Rollouts of a second of several robots, with all metrics, of different masses and frictions; the template's quadruped on
 `mjx` and `warp` as well, where these run. Results that research/own_models.md cites are written to
 research/data/own_kernel.json: physics steps a second, with controllers and metrics; accelerations beside C MuJoCo's;
 and metrics beside those of `native` of AGAIN rollouts.
+
+With words it measures the rows whose names contain one of them, such as `humanoid` or `mjx`. Rows that the same code
+measured before on the same machine stay in the table, and those that it lacks come first.
 """
 
 import contextlib
@@ -11,7 +16,7 @@ import json
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -39,6 +44,9 @@ TOUCH = ('mass="0.15"', 'mass="0.15" contype="2" conaffinity="2"')
 LOAD, GRIP = "model.body.trunk.mass", "model.geom.floor.friction.slide"
 LAYERS = (48, 512, 256, 128, 12)  # of the learned policy, whose observation is that of Isaac Lab's velocity tasks
 CHUNK = 25  # control ticks of a launch
+HEAD = ["robot", "joints", "accelerations beside C MuJoCo", "M steps/s", "first launch, s",
+        "way beside `native`, mm: median, 90 % within", "on `native`"]  # fmt: skip
+FAILED = "none"  # speed of a row that could not be measured
 OTHERS = {"mjx": 4096, "warp": 8192}  # engines beside the kernel, with the rollouts that fill them on a GPU
 
 
@@ -185,7 +193,7 @@ def measure_launches(engine: Any, world: ParameterOverrides, n: int) -> tuple[fl
                 for tick in range(first, first + CHUNK):
                     runner.set_commands(outside.next_controls(runner.read_observables()))
                     runner.simulate_ticks(tick, 1)
-            runner.read_observables()
+            np.asarray(runner.read_observables())  # waits
             walls.append(time.perf_counter() - begin)
             begin = time.perf_counter()
     return n * CHUNK * engine._substeps / walls[1], walls[0]
@@ -201,19 +209,20 @@ def measure_rollouts(engine: Any, world: ParameterOverrides, n: int) -> tuple[fl
     return n * round(1.0 / engine._model.opt.timestep) / walls[1], walls[0]
 
 
-def compare_robots(width: int, again: int) -> Iterator[list[str]]:
-    """Yield a table line for each robot on the kernel, and for each other engine with the first robot."""
-    yield ["robot", "joints", "accelerations beside C MuJoCo", "M steps/s", "first launch, s",
-           "way beside `native`, mm: median, 90 % within", "on `native`"]  # fmt: skip
-    beside = dict.fromkeys(OTHERS) if jax.default_backend() == "gpu" else {}
-    cases = [("kernel", name) for name in ROBOTS] + [(engine, next(iter(ROBOTS))) for engine in beside]
-    for engine_name, name in cases:
-        try:
-            line = measure_robot(engine_name, ROBOTS[name](), width, again)
-        except Exception as error:  # such as a package that is not installed: other lines count all the same
-            line = ["", "", "", "", f"{type(error).__name__}: {error}".replace("\n", " ")[:120], ""]
-        yield [name if engine_name == "kernel" else f"{name}, on `{engine_name}`", *line]
-        print(name, engine_name, line, flush=True)
+def list_rows() -> dict[str, tuple[str, Callable[[], Robot]]]:
+    """Return engine and robot of each row of the table by its name: other engines have the first robot."""
+    rows = {name: ("kernel", make) for name, make in ROBOTS.items()}
+    first, make = next(iter(ROBOTS.items()))
+    others = OTHERS if jax.default_backend() == "gpu" else {}
+    return rows | {f"{first}, on `{engine}`": (engine, make) for engine in others}
+
+
+def measure_row(engine_name: str, make: Callable[[], Robot], width: int, again: int) -> list[str]:
+    """Return the cells of a row after its name; an error in place of the speed, as of a missing package."""
+    try:
+        return measure_robot(engine_name, make(), width, again)
+    except Exception as error:  # of any class: other rows count all the same
+        return ["", "", FAILED, "", f"{type(error).__name__}: {error}".replace("\n", " ")[:120], ""]
 
 
 def measure_robot(engine_name: str, robot: Robot, width: int, again: int) -> list[str]:
@@ -238,19 +247,26 @@ def measure_robot(engine_name: str, robot: Robot, width: int, again: int) -> lis
     ]
 
 
-def main(width: str = "0", again: str = "256") -> None:
-    """Measure all robots, and write the table."""
+def main(width: str = "0", again: str = "256", *words: str) -> None:
+    """Measure the rows whose names contain a word, or all; write the table after each."""
     n = int(width) or (131072 if jax.default_backend() == "gpu" else 1024)
     device = jax.devices()[0].device_kind if jax.default_backend() == "gpu" else f"CPU, {devices.count_cores()} cores"
     about = {"command": f"python bench/own_kernel.py {n} {again}", "engine": "kernel", "devices": [f"1 x {device}"]}
-    lines: list[list[str]] = []
-    about |= {**provenance.version_record(), "seconds": "", "tables": {"robots": lines}}
+    about |= provenance.version_record()
+    before = json.loads(DATA.read_text(encoding="utf-8")) if DATA.is_file() else {}
+    is_same = all(before.get(key) == value for key, value in about.items())
+    done = {line[0]: line[1:] for line in before["tables"]["robots"][1:]} if is_same else {}
+    rows = list_rows()
+    chosen = [name for name in rows if not words or any(word in name for word in words)]
     with tempfile.TemporaryDirectory() as place:
         sweep(["init", "--model", f"{place}/quad"])
         with contextlib.chdir(f"{place}/quad"):
-            for line in compare_robots(n, int(again)):
-                lines.append(line)
-                write_atomically(DATA, (json.dumps(about, indent=1, ensure_ascii=False) + "\n").encode())
+            for name in sorted(chosen, key=lambda name: done.get(name, ["", "", FAILED])[2] != FAILED):
+                done[name] = measure_row(*rows[name], n, int(again))
+                print(name, done[name], flush=True)
+                lines = [HEAD, *([name, *done[name]] for name in rows if name in done)]
+                written = about | {"seconds": "", "tables": {"robots": lines}}
+                write_atomically(DATA, (json.dumps(written, indent=1, ensure_ascii=False) + "\n").encode())
 
 
 if __name__ == "__main__":

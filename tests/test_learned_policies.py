@@ -4,6 +4,8 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import onnxruntime
@@ -20,7 +22,8 @@ from sweep.config.experiment import compose
 from sweep.core.errors import InputError
 from sweep.runs import batches, store, time_series
 from sweep.runs.runner import select_points_to_simulate
-from sweep.systems.mujoco_model import policy_spec
+from sweep.systems.mujoco_model import batch, policy, policy_spec
+from sweep.systems.mujoco_model.policy import ControllerBatch
 
 PAGE = Path(__file__).parents[1] / "docs/howto/run_a_learned_policy.md"
 GRAVITY = np.array([0.0, 0.0, -1.0])
@@ -270,6 +273,33 @@ def test_the_presets_of_playground_observe_action_and_phase_a_tick_late(here):
         np.testing.assert_array_equal(late[2:], told[f"action_{name}"][:-2])
     ticks = np.maximum(np.arange(len(late)) - 1, 0)
     np.testing.assert_allclose(told["observation_phase_2"], np.sin(2 * np.pi * 1.5 * 0.02 * ticks), atol=1e-9)
+
+
+def test_the_tiles_of_a_gpu_have_the_controls_of_other_tiles_whatever_is_beside_a_rollout(here, monkeypatch):
+    """On a CPU here: rollouts of a tile are computed together, and three of seven have the bits of three alone."""
+    monkeypatch.setattr(policy, "GPU_TILE_ROLLOUTS", 4)
+    write_project(here, "preset: isaaclab\ncommands: {velocity_x: 0.5, velocity_y: 0, yaw_rate: 0}\n", legs=1)
+    save_perceptron("walk.onnx", (21, 16, 3), 0.3)
+    made, task = make_engine("native")
+    seen = np.random.default_rng(0).normal(size=(7, made._spec.state_size))
+    inputs = {"delay": np.zeros(7, np.int32), "key": np.arange(14, dtype=np.uint32).reshape(7, 2)}
+
+    def simulate(chosen, on_gpu):
+        n = len(seen[chosen])
+        begun = batch.make_initial_batch(made._spec, task.settings, task.world, task.belief, np.zeros(7, np.int64))
+        given = jax.tree.map(lambda one: one[chosen], begun.policy_inputs | inputs)
+        rollouts = ControllerBatch(made._programs, given, n, on_gpu)
+        rollouts.begin_rollouts(seen[chosen], np.full(n, 3))
+        controls = [np.asarray(rollouts.next_controls(jnp.asarray(seen[chosen]))) for _ in range(3)]
+        return np.stack(controls), rollouts.read_observations_and_actions([n - 1, 0])
+
+    with made._within():
+        (rows, told), (tiles, told_by_tiles), (alone, _) = (
+            simulate(slice(None), False), simulate(slice(None), True), simulate(slice(4, None), True)
+        )  # fmt: skip
+    np.testing.assert_allclose(tiles, rows, atol=1e-12)
+    np.testing.assert_allclose(told_by_tiles, told, atol=1e-12)
+    np.testing.assert_array_equal(tiles[:, 4:], alone)
 
 
 def test_a_term_is_read_from_the_first_of_its_sensors_that_the_model_has(here):

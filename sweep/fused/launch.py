@@ -36,6 +36,7 @@ class PtxKernel(NamedTuple):
 TickFunction = Callable[
     [Any, Any, Array], tuple[Any, dict[str, Array]]
 ]  # tick of one rollout: (inputs, carry, number) -> (carry, record)
+PackedWords = UInt32[Array, "blocks words rollouts"]  # memory of a batch as a kernel lays it out
 
 
 def compile_to_ptx(
@@ -137,28 +138,95 @@ def run_kernel(
     Returns:
         The carry after all ticks of a launch, and records (ticks, room, ...) by name.
     """
-    like, tree = jax.tree.flatten(carry)
+    state, record = advance_packed_batch(code, *pack_batch(code, inputs, carry), first, slots)
+    return unpack_carry(code, state, carry), record
+
+
+def pack_batch(code: PtxKernel, inputs: Any, carry: Any) -> tuple[PackedWords, PackedWords]:
+    """Lay a batch out as a kernel reads it.
+
+    Args:
+        code: the kernel.
+        inputs: tree of inputs; leaves without a batch axis are shared by all rollouts.
+        carry: tree of the carry, with leading batch axis.
+
+    Returns:
+        Inputs and state in the kernel's layout.
+    """
+    like = jax.tree.leaves(carry)
     width = len(like[0])
-    state = _pack(code, code.carry_leaves, like, width, code.words_per_rollout)
-    operands = [
+    return (
         _pack(code, code.input_leaves, jax.tree.leaves(inputs), width, _end(code.input_leaves)),
-        jnp.asarray(first, jnp.int32),
-        state,
-    ]
-    places = jnp.zeros(0, jnp.int32)
-    if slots is not None:
-        places = jnp.full(state.shape[0] * code.rollouts_per_block, code.record_capacity, jnp.int32)
-        places = places.at[slots].min(jnp.arange(code.record_capacity, dtype=jnp.int32))
-        numbers = _end([*code.record_leaves.values()])
-        operands += [places, jnp.zeros((code.ticks, code.record_capacity + 1, numbers), jnp.uint32)]
-    moved, *record = call_kernel(code, operands)
-    rows = moved.transpose(0, 2, 1).reshape(-1, code.words_per_rollout)[:width]
-    after = [rewrap_if_key(_unpack(rows, leaf), x) for leaf, x in zip(code.carry_leaves, like, strict=True)]
-    after = jax.tree.unflatten(tree, after)
+        _pack(code, code.carry_leaves, like, width, code.words_per_rollout),
+    )
+
+
+def advance_packed_batch(
+    code: PtxKernel, inputs: PackedWords, state: PackedWords, first: Array, slots: Int[Array, " room"] | None
+) -> tuple[PackedWords, Any]:
+    """Run a GPU kernel over a batch that is laid out for it, from within a function that XLA compiles.
+
+    Args:
+        code: the kernel.
+        inputs: inputs in its layout.
+        state: state in its layout; XLA changes it in place if the caller donates it.
+        first: number of the first tick.
+        slots: indices of the recorded rollouts (room,); None for none.
+
+    Returns:
+        The state after all ticks of a launch, and records (ticks, room, ...) by name.
+    """
+    operands = [inputs, jnp.asarray(first, jnp.int32), state]
     if slots is None:
-        return after, None
-    record = record[0][:, places[slots]]
-    return after, {name: _unpack(record, leaf) for name, leaf in code.record_leaves.items()}
+        (state,) = call_kernel(code, operands)
+        return state, None
+    places = jnp.full(state.shape[0] * code.rollouts_per_block, code.record_capacity, jnp.int32)
+    places = places.at[slots].min(jnp.arange(code.record_capacity, dtype=jnp.int32))
+    numbers = _end([*code.record_leaves.values()])
+    operands += [places, jnp.zeros((code.ticks, code.record_capacity + 1, numbers), jnp.uint32)]
+    state, record = call_kernel(code, operands)
+    record = record[:, places[slots]]
+    return state, {name: _unpack(record, leaf) for name, leaf in code.record_leaves.items()}
+
+
+def unpack_carry(code: PtxKernel, state: PackedWords, like: Any) -> Any:
+    """Read the carry of a batch from the kernel's layout.
+
+    Args:
+        code: the kernel.
+        state: state in its layout.
+        like: tree of arrays, or of their shapes, as the carry has them.
+    """
+    leaves, tree = jax.tree.flatten(like)
+    rows = _rows_of_rollouts(state)[: leaves[0].shape[0]]
+    after = [rewrap_if_key(_unpack(rows, leaf), x) for leaf, x in zip(code.carry_leaves, leaves, strict=True)]
+    return jax.tree.unflatten(tree, after)
+
+
+def read_carry_leaf(leaf: ArrayLayout, state: PackedWords, width: int) -> Array:
+    """Read one array (width, ...) of the carry from the kernel's layout.
+
+    Args:
+        leaf: location of the array, one of the kernel's `carry_leaves`.
+        state: state of the batch in the kernel's layout.
+        width: number of rollouts.
+    """
+    rows = _rows_of_rollouts(state[:, leaf.offset : leaf.offset + leaf.size])[:width]
+    return _unpack(rows, ArrayLayout(0, leaf.shape, leaf.dtype))
+
+
+def write_carry_leaf(leaf: ArrayLayout, state: PackedWords, values: Array) -> PackedWords:
+    """Write one array (n, ...) of the carry into the kernel's layout; rollouts beyond n repeat the last.
+
+    Args:
+        leaf: location of the array, one of the kernel's `carry_leaves`.
+        state: state of the batch in the kernel's layout.
+        values: numbers of the array's type.
+    """
+    blocks, _, rollouts = state.shape
+    rows = jnp.pad(_as_words(values, leaf), ((0, blocks * rollouts - len(values)), (0, 0)), mode="edge")
+    words = rows.reshape(blocks, rollouts, leaf.size).transpose(0, 2, 1)
+    return state.at[:, leaf.offset : leaf.offset + leaf.size].set(words)
 
 
 def call_kernel(code: PtxKernel, operands: Sequence[Array]) -> Sequence[Array]:
@@ -192,15 +260,23 @@ def _pack(
     """Memory of a batch in blocks; rollouts beyond its width repeat the last."""
     rollouts = -(-width // code.rollouts_per_block) * code.rollouts_per_block
 
-    def column(x: Array, leaf: ArrayLayout) -> Array:
-        bits = x.astype(jnp.uint32) if x.dtype == bool else lax.bitcast_convert_type(x, jnp.uint32)
-        rows = width if x.ndim > len(leaf.shape) else 1
-        return jnp.broadcast_to(bits.reshape(rows, leaf.size), (width, leaf.size))
-
-    columns = [column(x, leaf) for x, leaf in zip(keys_to_words(list(values)), leaves, strict=True)]
+    columns = [
+        jnp.broadcast_to(_as_words(x, leaf), (width, leaf.size))
+        for x, leaf in zip(keys_to_words(list(values)), leaves, strict=True)
+    ]
     columns.append(jnp.zeros((width, size - sum(x.shape[1] for x in columns)), jnp.uint32))
     rows = jnp.pad(jnp.concatenate(columns, axis=1), ((0, rollouts - width), (0, 0)), mode="edge")
     return rows.reshape(-1, code.rollouts_per_block, size).transpose(0, 2, 1)
+
+
+def _as_words(x: Array, leaf: ArrayLayout) -> UInt32[Array, "rollouts numbers"]:
+    """Bits of an array; one row where all rollouts share it."""
+    bits = x.astype(jnp.uint32) if x.dtype == bool else lax.bitcast_convert_type(x, jnp.uint32)
+    return bits.reshape(len(x) if x.ndim > len(leaf.shape) else 1, leaf.size)
+
+
+def _rows_of_rollouts(state: PackedWords) -> UInt32[Array, "rollouts words"]:
+    return state.transpose(0, 2, 1).reshape(-1, state.shape[1])
 
 
 def _unpack(rows: UInt32[Array, "*batch numbers"], leaf: ArrayLayout) -> Array:

@@ -153,10 +153,18 @@ def test_rollouts_go_on_until_all_of_their_warp_are_over():
     like = (jax.ShapeDtypeStruct((), jnp.int32), jax.ShapeDtypeStruct((), jnp.bool))
     code = launch.compile_to_ptx(counted, like[0], like, lambda x: x[1], 6, 0, 34)
     ends = jnp.where(jnp.arange(34) < 32, 3, 9)  # a warp has 32 rollouts
-    (count, over), _ = launch.run_kernel(
-        code, ends, (jnp.zeros(34, jnp.int32), jnp.zeros(34, bool)), jnp.int32(0), None
-    )
+    carried = jnp.zeros(34, jnp.int32), jnp.zeros(34, bool)
+    (count, over), _ = launch.run_kernel(code, ends, carried, jnp.int32(0), None)
     assert count.tolist() == [3] * 32 + [6] * 2
+    assert over.tolist() == [True] * 32 + [False] * 2
+    # a batch that stays as the kernel lays it out: a number of each rollout is read and written between launches
+    given, state = launch.pack_batch(code, ends, carried)
+    state, _ = launch.advance_packed_batch(code, given, state, jnp.int32(0), None)
+    leaf = code.carry_leaves[0]
+    assert launch.read_carry_leaf(leaf, jnp.asarray(state), 34).tolist() == count.tolist()
+    state = launch.write_carry_leaf(leaf, jnp.asarray(state), jnp.arange(34, dtype=jnp.int32))
+    count, over = launch.unpack_carry(code, state, carried)
+    assert count.tolist() == [*range(34)]
     assert over.tolist() == [True] * 32 + [False] * 2
 
 

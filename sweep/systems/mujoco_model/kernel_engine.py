@@ -318,7 +318,8 @@ class KernelModelEngine(ModelEngine):
         """
         spec, n, number = self._spec, len(streams), np.dtype(self._settings.precision).type
         begun = batch.make_initial_batch(spec, self._settings, world, belief, streams)
-        outside = None if self._is_inside else ControllerBatch(self._programs, begun.policy_inputs, n)
+        on_gpu = jax.default_backend() == "gpu" and not spec.controller.is_batched
+        outside = None if self._is_inside else ControllerBatch(self._programs, begun.policy_inputs, n, on_gpu)
         if outside is None:
             start, state, duration = self._programs.call_compiled_program(self._first, begun.policy_inputs)
         else:
@@ -492,35 +493,49 @@ class _CpuRunner:
 
 
 class _GpuRunner:
-    """A batch in the memory of a GPU."""
+    """A batch in the memory of a GPU, where it stays as kernels lay it out."""
 
     def __init__(self, make: Callable[..., Any], inputs: KernelInputs, carry: KernelCarry, n: int, slots: np.ndarray):
         self._make, self._n, self._slots = make, n, jnp.asarray(slots, jnp.int32) if len(slots) else None
-        self._inputs, self._carry = jax.device_put((inputs, carry))
-        self._calls: dict[int, Any] = {}
+        self._begun: Any = inputs, carry  # until the first launch, which lays them out
+        self._shapes = jax.eval_shape(lambda *both: both, inputs, carry)
+        self._observable, self._commands = jnp.asarray(carry.observable), None
+        self._calls: dict[int, tuple[launch.PtxKernel, Any]] = {}
 
-    def set_commands(self, commands: np.ndarray) -> None:
+    def set_commands(self, commands: Any) -> None:
         """Set the commands (n, nu) of the next tick."""
-        self._carry = self._carry._replace(command=jnp.asarray(commands, self._carry.command.dtype))
+        self._commands = jnp.asarray(commands, self._shapes[1].command.dtype)
 
-    def read_observables(self) -> np.ndarray:
-        """What controllers observe (n, s)."""
-        return np.asarray(self._carry.observable)
+    def read_observables(self) -> Array:
+        """What controllers observe (n, s), on the GPU."""
+        return self._observable
 
     def simulate_ticks(self, first: int, count: int) -> Any:
         """Simulate ticks; return what is recorded of the chosen rollouts, (ticks, slots, ...) by name."""
         if count not in self._calls:
-            room = 0 if self._slots is None else len(self._slots)
-            code = self._make(self._inputs, self._carry, self._n, count, room)
-
-            def call(inputs: KernelInputs, carry: KernelCarry, first: Array, slots: Any) -> Any:
-                return launch.run_kernel(code, inputs, carry, first, slots)
-
-            self._calls[count] = jax.jit(call, donate_argnums=1, compiler_options=launch.XLA_OPTIONS)
-            driver.start_ptx_translation(code.text)
-        self._carry, record = self._calls[count](self._inputs, self._carry, first, self._slots)
+            self._calls[count] = self._compile(count)
+        self._code, call = self._calls[count]  # all have the same layout
+        if self._begun:
+            self._inputs, self._state = jax.jit(partial(launch.pack_batch, self._code))(*self._begun)
+            self._begun = None
+        self._state, self._observable, record = call(self._inputs, self._state, self._commands, first, self._slots)
         return jax.tree.map(np.asarray, record)
+
+    def _compile(self, count: int) -> tuple[launch.PtxKernel, Any]:
+        code = self._make(*self._shapes, self._n, count, 0 if self._slots is None else len(self._slots))
+        tree = jax.tree.structure(self._shapes[1])
+        leaves = jax.tree.unflatten(tree, code.carry_leaves)
+
+        def call(inputs: Array, state: Array, commands: Any, first: Array, slots: Any) -> Any:
+            if commands is not None:
+                state = launch.write_carry_leaf(leaves.command, state, commands)
+            state, record = launch.advance_packed_batch(code, inputs, state, first, slots)
+            return state, launch.read_carry_leaf(leaves.observable, state, self._n), record
+
+        driver.start_ptx_translation(code.text)
+        return code, jax.jit(call, donate_argnums=1, compiler_options=launch.XLA_OPTIONS)
 
     def read_final_carry(self) -> KernelCarry:
         """Return the carry at the end, (n, ...)."""
-        return jax.tree.map(_copy_to_host, self._carry)
+        carry = jax.jit(lambda state: launch.unpack_carry(self._code, state, self._shapes[1]))(self._state)
+        return jax.tree.map(_copy_to_host, carry)

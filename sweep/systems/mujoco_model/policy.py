@@ -1,13 +1,15 @@
 """A user's controller as one compiled program of a fixed shape, which is called tile by tile.
 
-XLA gives other last bits at other widths, and at other places of one, so that a row would depend on what runs beside
-it. A tile never changes, and goes through its rollouts by the same instructions one after the other; a controller of
-NumPy's is called with a whole tile, whose width never changes.
+XLA gives other last bits at other widths, so that a row would depend on what runs beside it. The shape of a tile never
+changes. On a CPU other places of a tile give other bits as well, so that its rollouts go through the same instructions
+one after the other. On a GPU every rollout of a large tile has a thread, or a row of a matrix product, of its own. A
+controller of NumPy's is called with a whole tile, whose width never changes.
 """
 
 import contextlib
 import logging
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -27,6 +29,11 @@ from sweep.systems.mujoco_model.schedules import tabulate_schedule
 from sweep.systems.mujoco_model.tracking import VelocityTracking
 
 TILE_ROLLOUTS = 64
+GPU_TILE_ROLLOUTS = 16384  # fills a GPU with a policy's smallest layer; activations of its largest fit into the cache
+GPU_TILE_OPTIONS = {  # XLA would choose matrix products by their measured times, and so their bits
+    "xla_gpu_autotune_level": 0,
+    "xla_gpu_enable_triton_gemm": False,
+}
 logging.getLogger("jax._src.callback").setLevel(logging.CRITICAL)  # it prints tracebacks of errors that are told here
 
 
@@ -68,6 +75,16 @@ class FirstTickEvaluation(NamedTuple):
     commands: list[tuple[str, float, float]]  # actuator, number of the network (NaN without one), command
 
 
+class TilePrograms(NamedTuple):
+    """A controller's functions, compiled for a tile of rollouts; see `ControllerPrograms` for what each one takes."""
+
+    rollouts: int  # of a tile
+    first: Callable[..., Any]
+    enter: Callable[..., Any]
+    tick: Callable[..., Any]
+    finish: Callable[..., Any]
+
+
 class ControllerPrograms:
     """Compiled functions of a user's controller for batches of rollouts. Raises `InputError` for invalid controllers.
 
@@ -91,14 +108,19 @@ class ControllerPrograms:
         self._tracking = VelocityTracking(spec.model, tracked) if tracked else None
         self.call_user_code(self._check, belief)
 
-        def each(one: Callable[..., Any]) -> Callable[..., Any]:  # of a tile's rollouts
+        def map_rollouts(one: Callable[..., Any]) -> Callable[..., Any]:  # of a tile, one after the other
             return lambda *rows: jax.lax.map(lambda row: one(*row), rows)
 
-        self.first, self.enter = jax.jit(each(self.begin_controller)), jax.jit(each(self.make_initial_carry))
-        self.tick, self.finish = (
-            jax.jit(each(self.tick_controller), donate_argnums=1),
-            jax.jit(each(self.compute_rollout_metrics)),
+        self.tiles = self._compile_for_tiles(TILE_ROLLOUTS, map_rollouts)
+        self.gpu_tiles = self._compile_for_tiles(GPU_TILE_ROLLOUTS, jax.vmap, compiler_options=GPU_TILE_OPTIONS)
+
+    def _compile_for_tiles(self, rollouts: int, over: Callable[..., Any], **options: Any) -> TilePrograms:
+        first, enter, finish = (
+            jax.jit(over(one), **options)
+            for one in (self.begin_controller, self.make_initial_carry, self.compute_rollout_metrics)
         )
+        tick = jax.jit(over(self.tick_controller), donate_argnums=1, **options)
+        return TilePrograms(rollouts, first, enter, tick, finish)
 
     def begin_controller(self, policy_inputs: Mapping[str, Any]) -> tuple[Any, Any, Any]:
         """Call the controller's `begin` for one rollout; return start, state and duration (default: infinite)."""
@@ -405,29 +427,44 @@ class TiledActuatorNetwork:
 
 
 class ControllerBatch:
-    """The controllers of n rollouts, evaluated for `TILE_ROLLOUTS` rollouts at a time.
+    """The controllers of n rollouts, evaluated tile by tile.
 
-    The last tile is filled up with copies of the last rollout. `policy_inputs` has one row for each rollout.
+    The last tile is filled up with copies of the last rollout.
+
+    Args:
+        programs: The controller's functions.
+        policy_inputs: What controllers receive, one row for each rollout.
+        n: Number of rollouts.
+        on_gpu: Whether tiles are evaluated on a GPU, where states and controls then stay.
     """
 
-    def __init__(self, programs: ControllerPrograms, policy_inputs: Mapping[str, Any], n: int):
-        self._programs, self._n = programs, n
-        self._rows = np.minimum(np.arange(-(-self._n // TILE_ROLLOUTS) * TILE_ROLLOUTS), self._n - 1).reshape(
-            -1, TILE_ROLLOUTS
-        )
+    def __init__(self, programs: ControllerPrograms, policy_inputs: Mapping[str, Any], n: int, on_gpu: bool = False):
+        self._programs, self._n, self._on_gpu = programs, n, on_gpu
+        self._tile = programs.gpu_tiles if on_gpu else programs.tiles
+        size = self._tile.rollouts
+        self._rows = np.minimum(np.arange(-(-n // size) * size), n - 1).reshape(-1, size)
         self._given = [jax.device_put(jax.tree.map(lambda x, r=r: np.asarray(x)[r], policy_inputs)) for r in self._rows]
         self._tick, self._period = 0, programs.period
-        starts, self._carried, durations = zip(*self._call(lambda: list(map(programs.first, self._given))), strict=True)
+        starts, self._carried, durations = zip(
+            *self._call(lambda: list(map(self._tile.first, self._given))), strict=True
+        )
         self.start, self.duration = self._joined(starts), self._joined(durations)
 
     def begin_rollouts(self, observable: np.ndarray, ticks: np.ndarray) -> None:
         """Begin n rollouts from the model's states (n, s), for numbers of ticks (n,)."""
-        self._carried = self._of_tiles(self._programs.enter, observable, ticks.astype(np.int32))
+        self._carried = self._of_tiles(self._tile.enter, observable, ticks.astype(np.int32))
 
-    def next_controls(self, observable: np.ndarray) -> np.ndarray:
-        """Return the controls (n, nu) of the next tick, from the model's states (n, s)."""
+    def next_controls(self, observable: Any) -> Any:
+        """Return the controls (n, nu) of the next tick, from the model's states (n, s).
+
+        On a GPU both are arrays of the GPU, and controls are returned before they are computed.
+        """
         self._tick += 1
-        parts, self._carried = zip(*self._of_tiles(self._programs.tick, observable), strict=True)
+        parts, self._carried = zip(
+            *self._of_tiles(self._tile.tick, observable, is_waiting=not self._on_gpu), strict=True
+        )
+        if self._on_gpu:
+            return _join_tiles(parts, self._n)
         return self._joined([self._programs.compute_controls(one, self._when) for one in parts])
 
     def read_observations_and_actions(self, slots: Any) -> np.ndarray:
@@ -435,14 +472,16 @@ class ControllerBatch:
         learned, slots = self._programs.learned, np.asarray(slots, int)
         if learned is None:
             return np.zeros((len(slots), 0))
-        tiles = [
-            np.concatenate(learned.latest_observation_and_action(carried["state"]), axis=1) for carried in self._carried
-        ]
-        return np.concatenate(tiles)[slots].astype(float)
+        tiles, places = np.divmod(slots, self._tile.rollouts)
+        latest = {
+            tile: np.concatenate(learned.latest_observation_and_action(self._carried[tile]["state"]), axis=1)
+            for tile in np.unique(tiles)
+        }
+        return np.stack([latest[tile][place] for tile, place in zip(tiles, places, strict=True)]).astype(float)
 
     def compute_rollout_metrics(self, observable: np.ndarray) -> dict[str, np.ndarray]:
         """Return the controllers' own metrics (n,), by name, from the model's last states (n, s)."""
-        parts = self._of_tiles(self._programs.finish, observable)
+        parts = self._of_tiles(self._tile.finish, observable)
         return {name: self._joined([one[name] for one in parts]) for name in parts[0]}
 
     @property
@@ -453,14 +492,32 @@ class ControllerBatch:
         """Wait for the results of compiled programs, so that their errors are raised here."""
         return self._programs.call_compiled_program(function, when=self._when)
 
-    def _of_tiles(self, program: Callable[..., Any], *more: np.ndarray) -> list[Any]:
+    def _of_tiles(self, program: Callable[..., Any], *more: Any, is_waiting: bool = True) -> list[Any]:
         """Call a program for each tile with its inputs, its carried state and its rows of `more`."""
-        each = zip(self._given, self._carried, self._rows, strict=True)
-        return self._call(
-            lambda: [
-                program(policy_inputs, carried, *(one[rows] for one in more)) for policy_inputs, carried, rows in each
-            ]
-        )
+        if self._on_gpu:
+            split = [_split_into_tiles(one, self._tile.rollouts) for one in more]
+        else:
+            split = [[one[rows] for rows in self._rows] for one in map(np.asarray, more)]
+        each = zip(self._given, self._carried, *split, strict=True)
+
+        def call() -> list[Any]:
+            return [program(*of_tile) for of_tile in each]
+
+        return self._call(call) if is_waiting else self._programs.call_user_code(call, when=self._when, is_own=False)
 
     def _joined(self, parts: Sequence[Any]) -> Any:
         return None if parts[0] is None else np.concatenate([np.asarray(one) for one in parts])[: self._n].astype(float)
+
+
+@partial(jax.jit, static_argnums=1)
+def _split_into_tiles(values: Array, size: int) -> list[Array]:
+    """Tiles (size, ...) of an array (n, ...); copies of its last row fill the last one."""
+    missing = -len(values) % size
+    rows = jnp.pad(values, ((0, missing), *[(0, 0)] * (values.ndim - 1)), mode="edge")
+    return [*rows.reshape(-1, size, *values.shape[1:])]
+
+
+@partial(jax.jit, static_argnums=1)
+def _join_tiles(tiles: Sequence[Array], n: int) -> Array:
+    """First n rows of all tiles."""
+    return jnp.concatenate(tiles)[:n]
