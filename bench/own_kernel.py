@@ -193,7 +193,7 @@ def measure_launches(engine: Any, world: ParameterOverrides, n: int) -> tuple[fl
                 for tick in range(first, first + CHUNK):
                     runner.set_commands(outside.next_controls(runner.read_observables()))
                     runner.simulate_ticks(tick, 1)
-            np.asarray(runner.read_observables())  # waits
+            jax.block_until_ready(runner.read_observables())
             walls.append(time.perf_counter() - begin)
             begin = time.perf_counter()
     return n * CHUNK * engine._substeps / walls[1], walls[0]
