@@ -32,7 +32,13 @@ from sweep.planning.score import (
 )
 from sweep.planning.score import replace_plan_number as moved
 from sweep.runs import tuning
-from sweep.runs.tuning import fit_plan_slopes_over_sizes, parse_free_plan_numbers, search_by_cma, search_by_gradients
+from sweep.runs.tuning import (
+    fit_plan_slopes_over_sizes,
+    parse_free_plan_numbers,
+    search_by_cma,
+    search_by_gradients,
+    search_by_rollouts,
+)
 from sweep.runs.unsearched_values import describe_values_outside_tuned_range
 from sweep.study.study import make_points
 
@@ -107,6 +113,15 @@ class Wants:
         slope = np.vstack([np.eye(2), -np.eye(2)]) / 0.01
         return self.lacking(moved)[:, None], np.broadcast_to(slope, (len(moved), 1, 4, 2))
 
+    def by_rollouts(self, how, log):
+        def scores(off, moved):
+            self.ask()
+            return -np.abs(moved - off @ self.slopes.T).sum(axis=-1) / 0.01
+
+        draw = lambda number: (self.off, self.off)  # noqa: E731
+        found = search_by_rollouts(draw, scores, self.steps, how, log, lambda done, mean: None)
+        return (found - self.slopes) * np.abs(self.off).max(axis=0)
+
     def by_gradients(self, how, log):
         return (
             search_by_gradients(self.descent, self.at - 0.05, self.steps, how, log, lambda done, least: None) - self.at
@@ -119,7 +134,10 @@ class Wants:
         return found - self.slopes
 
 
-@pytest.mark.parametrize(("by", "ends", "off"), [(Wants.by_gradients, 100, 0.015), (Wants.by_programs, 2, 1e-6)])
+@pytest.mark.parametrize(
+    ("by", "ends", "off"),
+    [(Wants.by_gradients, 100, 0.015), (Wants.by_programs, 2, 1e-6), (Wants.by_rollouts, 20, 2e-3)],
+)
 def test_what_draws_want_is_found_and_an_interrupted_search_goes_on(by, ends, off, tmp_path):
     how, whole, rest = {"seed": 1, "generations": 300}, Wants(), Wants()
     beside = by(whole, how, tmp_path / "whole")

@@ -21,6 +21,7 @@ from sweep.backends import devices
 from sweep.cli.execution import RunFlags, execute_experiment
 from sweep.cli.exits import DONE, UNEXPECTED
 from sweep.cli.plan_limits import describe_limits
+from sweep.cli.plan_rollouts import PlanRollouts
 from sweep.config.experiment import Experiment, compose
 from sweep.contract.system import split_side_prefix
 from sweep.core.errors import InputError
@@ -72,6 +73,8 @@ def tune_plan(args: argparse.Namespace) -> int:
             f"--free = {beside[0]} is not allowed with --follow: only numbers of the plan can depend on sizes"
         )
     sizes = nominal_drawn_parameters(exp) if args.follow else {}
+    if args.by_rollouts:
+        return tune_plan_by_rollouts(args, exp, {path: numbers[path] for path in steps}, steps, sizes)
     method = "linear programs, to follow sizes" if args.follow else "gradients" if args.gradients else "CMA-ES"
     aims, width = [parse_margin_aim(text) for text in args.need], args.population if method == "CMA-ES" else 1
     score = PlanScore(
@@ -88,13 +91,8 @@ def tune_plan(args: argparse.Namespace) -> int:
         )
         return DONE
     sizes = select_influential_parameters(exp, score, first, seen, sizes) if sizes else {}
-    how = {"overrides": sorted(overrides), "free": steps, "stages": args.stages, "need": args.need,
-           "moments": args.moments, "forces": args.forces, "seed": args.seed, "population": args.population,
-           "follow": args.follow, "gradients": args.gradients, "generations": args.generations,
-           "config": store.digest_values(exp.values), "code": plan_search_version()}  # fmt: skip
-    where.parent.mkdir(parents=True, exist_ok=True)
-    log = where.with_name(f"{where.name}.log")
-    tuning.resume_search_log(log, how)  # refuses before what is slow
+    how = describe_search(args, exp, steps)
+    log = open_search_log(where, how)  # refuses before what is slow
     best, slopes = search_rounded_plan_numbers(score, seen, first, sizes, how, log)
     after = {name: best + relative_size_changes(draws, sizes) @ slopes.T
              for name, draws in zip(DRAW_LABELS, (seen, others), strict=True)}  # fmt: skip
@@ -114,10 +112,108 @@ def tune_plan(args: argparse.Namespace) -> int:
     head = [f"{len(steps)} numbers searched for by {method}: score {was:.4g} before, {now:.4g} after",
             f"least margins over draws of seed {exp.study.seed}, and over "
             f"others of seed {exp.study.seed + 1}:", *told.splitlines()]  # fmt: skip
-    found = dict(zip(steps, best.tolist(), strict=True))
-    settings = [f"{path}={found.pop(path):g}" for path in own if path in found]
-    head += ["to be run with " + " ".join(settings)] if settings else []
-    content = add_parameter_slopes(tuned_plan_content(case, found), steps, slopes, sizes)
+    write_tuned_plan(args, exp, head, dict(zip(steps, best.tolist(), strict=True)), slopes, sizes)
+    return DONE
+
+
+def tune_plan_by_rollouts(
+    args: argparse.Namespace,
+    exp: Experiment,
+    numbers: Mapping[str, float],
+    steps: Mapping[str, float],
+    sizes: Mapping[str, float],
+) -> int:
+    """Optimise a plan in simulation, in rounds of other draws, and write its file; return the exit code.
+
+    Args:
+        args: Arguments of `sweep tune`.
+        exp: Its experiment.
+        numbers: Free numbers by path.
+        steps: Their first steps.
+        sizes: Reference values of the sizes that they follow; if empty, the numbers themselves change.
+
+    Raises:
+        InputError: A flag is of searches without simulation.
+    """
+    for flag in ("stages", "need", "moments", "forces", "gradients", "check"):
+        if getattr(args, flag):
+            raise InputError(f"--{flag} is not allowed with --by-rollouts: rollouts are simulated whole")
+    where, how = Path(exp.out or ""), describe_search(args, exp, steps)
+    log, rollouts, shown = open_search_log(where, how), PlanRollouts(exp, numbers, sizes), search_progress()
+    with shown:
+        task = shown.add_task(f"{len(numbers)} numbers", total=args.generations)
+
+        def draw(number: int) -> tuple[pd.DataFrame, np.ndarray]:
+            points = rollouts.draw_points(exp.study.seed + number)
+            return points, rollouts.relative_sizes(points) if sizes else np.ones((len(points), 1))
+
+        changes = tuning.search_by_rollouts(
+            draw,
+            rollouts.scores,
+            np.array(list(steps.values())),
+            how,
+            log,
+            lambda done, mean: shown.update(task, completed=done, description=f"mean score {mean:.4g}"),
+        )
+    first = np.array(list(numbers.values()))
+    last = exp.study.seed + args.generations - 1
+    head = [f"{len(steps)} numbers searched for by {args.generations} rounds of rollouts, two of each draw of seeds "
+            f"{exp.study.seed} to {last}"]  # fmt: skip
+    if sizes:
+        off = np.abs(rollouts.relative_sizes(rollouts.draw_points(exp.study.seed)))
+        best, slopes = first, round_slopes(changes, np.array(list(steps.values())), off)
+    else:
+        best, slopes = np.round(first + changes[:, 0], NUMBER_DIGITS), np.zeros((len(first), 0))
+    write_tuned_plan(args, exp, head, dict(zip(steps, best.tolist(), strict=True)), slopes, sizes, last + 1)
+    return DONE
+
+
+def describe_search(args: argparse.Namespace, exp: Experiment, steps: Mapping[str, float]) -> dict[str, Any]:
+    """Return what identifies a search, so that only the same command resumes it.
+
+    Args:
+        args: Arguments of `sweep tune`.
+        exp: Its experiment.
+        steps: First steps of the free numbers by path.
+    """
+    flags = ("stages", "need", "moments", "forces", "seed", "population", "follow", "gradients", "generations",
+             "by_rollouts")  # fmt: skip
+    return {"overrides": sorted(args.overrides), "free": dict(steps), **{name: getattr(args, name) for name in flags},
+            "config": store.digest_values(exp.values), "code": plan_search_version()}  # fmt: skip
+
+
+def open_search_log(where: Path, how: Mapping[str, Any]) -> Path:
+    """Return the log beside a plan's file; raises `InputError` if it belongs to another search."""
+    where.parent.mkdir(parents=True, exist_ok=True)
+    log = where.with_name(f"{where.name}.log")
+    tuning.resume_search_log(log, how)
+    return log
+
+
+def write_tuned_plan(
+    args: argparse.Namespace,
+    exp: Experiment,
+    head: Iterable[str],
+    found: Mapping[str, float],
+    slopes: np.ndarray,
+    sizes: Mapping[str, float],
+    fresh_seed: int | None = None,
+) -> None:
+    """Write the file of a tuned plan; with `--simulate`, simulate draws with the plan before and after.
+
+    Args:
+        args: Arguments of `sweep tune`.
+        exp: Its experiment.
+        head: Comments on the search, at the head of the file.
+        found: Numbers by path.
+        slopes: Slopes (n, k) of the numbers by the sizes.
+        sizes: Reference values of the k sizes.
+        fresh_seed: Seed of draws that were not searched on, by default the one after the study's.
+    """
+    case, where, found, paths = exp.case, Path(exp.out or ""), dict(found), list(found)
+    settings = [f"{path}={found.pop(path):g}" for path in tunable_manoeuvre_parameters(case) if path in found]
+    head = [*head, *(["to be run with " + " ".join(settings)] if settings else [])]
+    content = add_parameter_slopes(tuned_plan_content(case, found), paths, slopes, sizes)
     searched = {
         ORIGIN: BY_COMMAND,
         COMMAND: f"sweep tune {shlex.join(args.words)}",
@@ -128,12 +224,12 @@ def tune_plan(args: argparse.Namespace) -> int:
     if settings:
         print(head[-1])
     if args.simulate:
-        lines = [compare_plans(overrides, where, settings, seed) for seed in (exp.study.seed, exp.study.seed + 1)]
-        lines += describe_limits(draws_folder(where, "after", exp.study.seed + 1))
+        seeds = [exp.study.seed, fresh_seed or exp.study.seed + 1]
+        lines = [compare_plans(args.overrides, where, settings, seed) for seed in seeds]
+        lines += describe_limits(draws_folder(where, "after", seeds[-1]))
         print("\n".join(lines))
         write_atomically(where, format_plan_file(case, content, [*head, *lines]).encode())
     print(where)
-    return DONE
 
 
 def nominal_drawn_parameters(exp: Experiment) -> dict[str, float]:
@@ -190,9 +286,7 @@ def search_rounded_plan_numbers(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Search for the best plan numbers with a progress bar; return rounded numbers (n,), and their slopes (n, k) by k
     sizes."""
-    scale = np.array(list(how["free"].values()))
-    shown = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-                     console=Console(stderr=True))  # fmt: skip
+    scale, shown = np.array(list(how["free"].values())), search_progress()
     with shown:
         task = shown.add_task(f"{len(first)} numbers, {len(score.stages)} stages", total=how["generations"])
 
@@ -211,8 +305,7 @@ def search_rounded_plan_numbers(
                 log,
                 tell,
             )
-            slight = np.abs(slopes) * np.abs(off).max(axis=0) < MIN_SLOPE_EFFECT * scale[:, None]
-            return first, np.where(slight, 0.0, np.round(slopes, SLOPE_DIGITS))
+            return first, round_slopes(slopes, scale, off)
         if how["gradients"]:
             best = tuning.search_by_gradients(
                 lambda numbers: score.squared_deficit_gradients(numbers, draws), first, scale, how, log, tell
@@ -222,6 +315,24 @@ def search_rounded_plan_numbers(
                 lambda many: score.worst_draw_score(score.margins(many[:, None], draws)), first, scale, how, log, tell
             )
     return np.round(best, NUMBER_DIGITS), np.zeros((len(first), 0))
+
+
+def round_slopes(slopes: np.ndarray, steps: np.ndarray, off: np.ndarray) -> np.ndarray:
+    """Return rounded slopes (n, k), without those that hardly move a number in the farthest draw.
+
+    Args:
+        slopes: Slopes (n, k).
+        steps: First steps (n,) of the numbers.
+        off: Relative changes (draws, k) of the sizes.
+    """
+    slight = np.abs(slopes) * np.abs(off).max(axis=0) < MIN_SLOPE_EFFECT * steps[:, None]
+    return np.where(slight, 0.0, np.round(slopes, SLOPE_DIGITS))
+
+
+def search_progress() -> Progress:
+    """Return the progress bar of a search, on standard error."""
+    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+                    console=Console(stderr=True))  # fmt: skip
 
 
 def compare_plans(overrides: list[str], file: Path, settings: list[str], seed: int) -> str:

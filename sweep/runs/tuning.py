@@ -1,8 +1,9 @@
-"""Optimisation of a plan's numbers by one of three methods, all of which resume after an interruption.
+"""Optimisation of a plan's numbers by one of four methods, all of which resume after an interruption.
 
 CMA-ES minimizes the score of the worst draw. Gradient descent (Adam) serves many free numbers. Sequential linear
 programming finds how numbers follow sizes: each program lowers the margins' deficits by their slopes at the point where
-the program before ended. A log beside the plan's file holds the state of the search.
+the program before ended. Rounds of rollouts change numbers at random and move them to where rollouts end better. A log
+beside the plan's file holds the state of the search.
 """
 
 import json
@@ -49,6 +50,13 @@ FIRST_RADIUS, MAX_RADIUS, MAX_HALVINGS = (
     2.0,
     6,
 )  # trust radius in first steps: first, largest; and how often it is halved
+# rounds of rollouts
+NOISE, FIRST_MOVE = 0.3, 0.3  # random change of a number; its largest move in a round; both in first steps
+MOVE_DECAY_ROUNDS = 10  # rounds after which moves fall as the square root of their number
+KEPT_SHARE, CHANCE = (
+    0.7,
+    2.0,
+)  # share of earlier rounds in the mean effect; effect in standard errors that halves a move
 
 
 def parse_free_plan_numbers(
@@ -276,6 +284,57 @@ def fit_plan_slopes_over_sizes(
             break
         least, at, radius = mean_cost, to, min(1.5 * tried, MAX_RADIUS)
         append_log(log, [radius, at.tolist()])
+    return steps[:, None] * at / spread
+
+
+def search_by_rollouts(
+    draw: Callable[[int], tuple[Any, np.ndarray]],
+    scores: Callable[[Any, np.ndarray], np.ndarray],
+    steps: np.ndarray,
+    settings: Mapping[str, Any],
+    log: Path,
+    progress: Callable[[int, float], None],
+) -> np.ndarray:
+    """Find changes of a plan's numbers, in proportion to given shares, with which simulated rollouts end better.
+
+    In each round every draw is simulated twice, with random changes of all numbers of opposite signs. Numbers move
+    along their mean effect on the scores, less where it does not differ from chance.
+
+    Args:
+        draw: Function from the number of a round to its draws and their shares (draws, k), such as relative changes
+            of sizes; a column of ones stands for a change that is the same in all draws.
+        scores: Function from draws and two changes of every draw's numbers (2, draws, n) to scores (2, draws).
+        steps: First steps (n,), in the units of the numbers.
+        settings: `seed`, `generations` (rounds), and what else identifies the search.
+        log: File with the state after every round, from which an interrupted search resumes.
+        progress: Receives the number of rounds and the mean score of the last round.
+
+    Returns:
+        Changes (n, k) of the numbers per share.
+
+    Raises:
+        InputError: The log belongs to another search.
+    """
+    entries = resume_search_log(log, settings)
+    spread = np.maximum(np.abs(draw(0)[1]).max(axis=0), 1e-12)
+    shape = len(steps), len(spread)
+    last, *parts = entries[-1] if entries else (np.nan, *np.zeros((3, *shape)))
+    at, effect, variance = (np.array(part) for part in parts)  # in first steps, per largest share of a draw
+    for k in range(len(entries), settings["generations"]):
+        progress(k, last)
+        draws, shares = draw(k)
+        by = shares / spread
+        noise = NOISE * np.random.default_rng([settings["seed"], k]).standard_normal((len(by), shape[0]))
+        above, below = scores(draws, steps * (by @ at.T + np.stack([noise, -noise])))
+        last = float(np.mean(above + below) / 2)
+        single = ((above - below) / (2 * NOISE**2))[:, None, None] * noise[:, :, None] * by[:, None]
+        single /= np.maximum((by**2).mean(axis=0), 1e-12)
+        effect = KEPT_SHARE * effect + (1 - KEPT_SHARE) * single.mean(axis=0)
+        variance = KEPT_SHARE**2 * variance + (1 - KEPT_SHARE) ** 2 * single.var(axis=0) / len(by)
+        told = effect / np.sqrt(np.maximum(variance, 1e-30))
+        move = FIRST_MOVE * min(1.0, (MOVE_DECAY_ROUNDS / (k + 1)) ** 0.5)
+        at = at + move * np.sign(told) * told**2 / (told**2 + CHANCE**2)
+        append_log(log, [last, at.tolist(), effect.tolist(), variance.tolist()])
     return steps[:, None] * at / spread
 
 

@@ -13,11 +13,13 @@ EPILOG = """Margins are those of sweep/planning/kinematic_margins.py; draws are 
 planner. What is found is checked on the draws of the study's next seed. With --follow numbers get slopes, by which they
 follow the sizes that the study draws. With --simulate both draws are run, too, by the plan before and after, in folders
 beside the file. What no number of the plan moves, such as feet on the way to an obstacle, may be moved by numbers of
-the manoeuvre (--free manoeuvre.NAME): the file says with which of them its plan is to be run.
+the manoeuvre (--free manoeuvre.NAME): the file says with which of them its plan is to be run. With --by-rollouts every
+round simulates two rollouts of each draw of the next seed, with opposite random changes of all free numbers.
 
 examples:
   sweep tune scenario=pole_top robot=mine study=pole_sizes out=plans/mine.yaml --free 'top.*' --stages 'top.*'
   sweep tune scenario=pole_top study=pole_sizes out=plans/any.yaml --follow --simulate
+  sweep tune scenario=pole_top study=pole_sizes study.design.num=512 out=plans/any.yaml --follow --by-rollouts
   sweep tune scenario=pole_top plan=plans/mine.yaml study=pole_sizes --check"""
 
 
@@ -47,6 +49,11 @@ def add_arguments(parser: Arguments) -> None:
         "--follow", action="store_true", help="make numbers depend linearly on the sizes that the study draws"
     )
     parser.add_argument(
+        "--by-rollouts",
+        action="store_true",
+        help="optimize in simulation: rounds of rollouts with random changes of all numbers",
+    )
+    parser.add_argument(
         "--simulate", action="store_true", help="also simulate both sets of draws with the plans before and after"
     )
     parser.add_argument("--check", action="store_true", help="only print the margins of the plan as it is")
@@ -59,7 +66,10 @@ def add_arguments(parser: Arguments) -> None:
     )
     parser.add_argument("--population", type=int, default=16, help="plans in a generation of CMA-ES (16)")
     parser.add_argument(
-        "--generations", type=int, default=200, help="at most (200); steps of gradients, linear programs"
+        "--generations",
+        type=int,
+        default=200,
+        help="at most (200); steps of gradients, linear programs, rounds of rollouts",
     )
     parser.add_argument("--seed", type=int, default=1, help="seed of the search, at least 1")
 
