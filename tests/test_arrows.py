@@ -80,6 +80,7 @@ TABLE = "sweep.systems"
 # its own subcommands, which the command line finds by their files
 ROBOT_COMMANDS = (
     "sweep.cli.plan_limits",
+    "sweep.cli.plan_rollouts",
     "sweep.cli.plan_search",
     *(f"sweep.cli.commands.{name}" for name in ("bench", "export_model", "formula", "tune")),
 )

@@ -46,7 +46,13 @@ def test_rows_of_the_same_sources_are_of_this_code_whatever_the_libraries(monkey
 
 def test_what_judges_and_searches_a_plan_is_in_the_version_of_a_search(monkeypatch):
     real, version = provenance._read, provenance.plan_search_version()
-    for edited in ("planning/score.py", "planning/kinematic_margins.py", "runs/tuning.py", "controllers/plan.py"):
+    for edited in (
+        "planning/score.py",
+        "planning/kinematic_margins.py",
+        "runs/tuning.py",
+        "controllers/plan.py",
+        "cli/plan_rollouts.py",
+    ):
 
         def read(file, edited=edited):
             imports, said = real(file)

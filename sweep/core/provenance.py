@@ -25,6 +25,7 @@ PROGRAM_MODULES = ("sweep.engines", "sweep.manoeuvres")  # what they import can 
 SEARCH_MODULES = (
     *WORKER_MODULES,
     "sweep.runs.tuning",
+    "sweep.cli.plan_rollouts",
     "sweep.planning.score",
 )  # can change what a search of a plan's numbers finds
 WHOLE_PACKAGES = (  # packages that import each of their modules, without naming them
