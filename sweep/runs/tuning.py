@@ -10,6 +10,7 @@ import json
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -137,7 +138,7 @@ def search_by_cma(
         InputError: The log belongs to another search, or the package `cma` is missing.
     """
     try:
-        import cma
+        cma = import_module("cma")  # whose types take a checker half a minute
     except ImportError:
         raise InputError("sweep tune needs the package cma: pip install 'insect-sweep[tune]'") from None
     entries = resume_search_log(log, settings)
