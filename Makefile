@@ -51,7 +51,7 @@ lint: setup
 	$(call SCRIPT,prettier@3.10.1,prettier,--check sweep/report/page)
 
 types: setup
-	$(BIN)/pyright
+	$(BIN)/pyright --threads
 	$(call SCRIPT,typescript@5.9,tsc,-p sweep/report/page)
 
 paper: setup  # all that research/ shows: JOBS=14 at once for each GPU with 16 cores; QUICK=--quick on two cores, coarser
