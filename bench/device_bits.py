@@ -1,10 +1,11 @@
 """Rows of a CPU and a GPU that are equal to the last bit: `python bench/device_bits.py [SCENARIO...]`.
 
-It writes research/data/device_bits.json, which research/reliability.md cites. Each scenario is simulated with random
-errors on both devices, in three ways. As it is, a GPU also computes plans, start states and final metrics, with XLA.
-With plans on the host, NumPy computes them for both devices. Without fused multiply-add, both compilers round each
-product before a sum takes it. The columns over time of the first rollouts show in which tick, and in which quantity, a
-difference arises.
+It writes research/data/device_bits.json, which research/reliability.md cites; scenarios of another call stay in it.
+First, single functions of a kernel are evaluated on both devices, and results that differ are counted. Then each
+scenario is simulated with random errors on both devices, in several ways, of which each removes a difference between
+their programs: plans on the host (else XLA computes plans, start states and final metrics of a GPU), no fused
+multiply-add, sums over the legs in one order, quotients and roots by the GPU's own IEEE instructions. The columns over
+time of the first rollouts show in which tick, and in which quantity, a difference arises.
 """
 
 import os
@@ -14,11 +15,18 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import shared
 
+from sweep.backends.run_id import describe_device
+from sweep.contract.engine_settings import EngineSettings
+from sweep.core.provenance import version_record
+from sweep.fused import lanes
 from sweep.runs import store
 from sweep.study.columns import LABEL_COLUMNS, PLACEMENT_COLUMNS, TIMING_COLUMNS
 
@@ -31,12 +39,20 @@ ROWS, WATCHED, RATE = (
     250,
 )  # rollouts, those with histories, samples a second
 PLATFORMS = {"cpu": "cpu", "gpu": "cuda"}
+ALIKE = "host,no_fma,in_order,ieee"  # a GPU without any known difference
 WAYS = {  # by name: ways of the CPU and the GPU
-    "as it is": ("as_is", "as_is"),
-    "plans on the host": ("as_is", "host"),
-    "plans on the host, no fused multiply-add": ("no_fma", "host_no_fma"),
+    "as it is": ("", ""),
+    "plans on the host": ("", "host"),
+    "and no fused multiply-add": ("no_fma", "host,no_fma"),
+    "and sums over legs in one order": ("no_fma", "host,no_fma,in_order"),
+    "and IEEE quotients and roots": ("no_fma", ALIKE),
 }
-RUNS = [("cpu", "as_is"), ("cpu", "no_fma"), ("gpu", "as_is"), ("gpu", "host"), ("gpu", "host_no_fma")]
+RUNS = [*dict.fromkeys(("cpu", cpu) for cpu, _ in WAYS.values()), *(("gpu", gpu) for _, gpu in WAYS.values())]
+SPEEDS = {"as it is": ("", ""), "no fused multiply-add": ("no_fma", "no_fma"),
+          "nothing that differs": ("no_fma", ALIKE)}  # fmt: skip
+ONE_THREAD = lanes.RolloutPerThreadSection._item  # as it is
+FILE = shared.DATA / "device_bits.json"
+INPUTS = int(os.environ.get("BITS_INPUTS", "1000000"))  # of each function
 WIDTHS = {"cpu": 1024, "gpu": int(os.environ.get("BITS_WIDTH", "131072"))}  # rollouts of a batch that is timed
 SAMPLE = re.compile(r"^(qpos|qvel|torque_peak|force|load|base|tilt)")  # columns of histories, by quantity
 
@@ -44,13 +60,109 @@ SAMPLE = re.compile(r"^(qpos|qvel|torque_peak|force|load|base|tilt)")  # columns
 def change_way(way: str) -> None:
     """Change this process's compiler or planner, as a way asks."""
     from sweep.backends import devices
-    from sweep.fused import text
+    from sweep.fused import cuda, text
 
     if "host" in way:
         devices.NUMPY_WIDTH = 10**9  # pyright: ignore[reportAttributeAccessIssue]
     if "no_fma" in way:
         for op in ("add", "sub", "mul"):
             text.FLOAT_INSTRUCTIONS[op] = f"f{op}"
+    if "in_order" in way:
+        cuda.GpuKernelPrinter._over_legs = sum_lanes_in_order  # pyright: ignore[reportAttributeAccessIssue]
+        lanes.RolloutPerThreadSection._item = sum_legs_in_order  # pyright: ignore[reportAttributeAccessIssue]
+    if "ieee" in way:
+        printer, common = cuda.GpuKernelPrinter, text.LlvmFunctionPrinter
+        printer._quotient = lambda self, a, b: self.emit(f"fdiv float {a}, {b}")
+        printer._root = lambda self, x: self.call_intrinsic("sqrt", "float32", [x])
+        printer.print_max_or_min = common.print_max_or_min  # of zeros with two signs, a CPU's is the second
+
+
+def sum_lanes_in_order(printer: Any, node: Any) -> str:
+    """Print a reduction over the legs of a warp's lanes in the order of a CPU."""
+    value, op, dtype = printer.value_name(node.args[0]), node.extra.op, node.dtype
+    total = printer._shuffle(value, dtype, printer._lane(0))
+    for k in range(1, printer.group):
+        one = printer._shuffle(value, dtype, printer._lane(k))
+        total = printer.print_arithmetic(op, dtype, [total, one], [dtype] * 2)
+    return total
+
+
+def sum_legs_in_order(section: Any, item: Any, needed: set[int]) -> list[Any]:
+    """Make the operations of one thread for an item, with reductions over the legs in the order of a CPU."""
+    if getattr(item, "op", None) != "over_legs":
+        return ONE_THREAD(section, item, needed)
+    legs, made = section.nodes_by_leg(item.args[0]), []
+    for k in range(1, section.group):
+        made.append(section._node(item, item.extra.op, (made[-1] if made else legs[0], legs[k]), None, k))
+    section.made[item.number] = made[-1:]
+    return made
+
+
+def function_values(a: Any, b: Any, angle: Any, share: Any, legs: Any) -> dict[str, Any]:
+    """Return what single functions give: of two numbers, an angle, a number from -1 to 1, and six numbers."""
+    return {
+        "a / b": a / b, "sqrt(a)": jnp.sqrt(jnp.abs(a)), "a * b": a * b, "a * b + a": a * b + a,
+        "a * b + angle * share": a * b + angle * share, "sum over six legs": jnp.sum(legs),
+        "largest of six legs": jnp.max(legs), "sin": jnp.sin(angle), "cos": jnp.cos(angle), "tan": jnp.tan(angle),
+        "atan2": jnp.arctan2(a, b), "acos": jnp.arccos(share), "asin": jnp.arcsin(share), "exp": jnp.exp(angle),
+        "log": jnp.log(jnp.abs(a)), "erf_inv": jax.lax.erf_inv(share), "remainder": jax.lax.rem(a, b),
+    }  # fmt: skip
+
+
+def evaluate_functions(file: str) -> int:
+    """Evaluate the functions on this process's device: by a kernel, and outside of it by XLA or NumPy; store both."""
+    from sweep.backends import devices
+    from sweep.fused import eager, kernel, launch
+
+    devices.configure_jax()
+    rng = np.random.default_rng(0)
+    numbers = (rng.lognormal(0, 3, (2, INPUTS)) * rng.choice([-1, 1], (2, INPUTS))).astype(np.float32)
+    legs = rng.lognormal(0, 3, (INPUTS, 6)) * rng.choice([-1, 1], (INPUTS, 6))
+    rest = rng.uniform(-60, 60, INPUTS), rng.uniform(-1, 1, INPUTS), legs
+    given = [*numbers, *(x.astype(np.float32) for x in rest)]
+    one: Any = [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in given]
+    start = {"over": np.zeros(INPUTS, bool)}
+    start |= {name: np.zeros(INPUTS, np.float32) for name in jax.eval_shape(function_values, *one)}
+    like = jax.tree.map(lambda x: jax.ShapeDtypeStruct((), x.dtype), start)
+
+    def tick(given: Any, carry: Any, _: Any) -> Any:
+        return {"over": carry["over"], **function_values(*given)}, {}
+
+    if jax.default_backend() == "cpu":
+        tiles = kernel.Kernel(kernel.compile_function(tick, one, like)).load_batch(given, start, INPUTS)
+        tiles.advance_ticks(0, 1)
+        within = tiles.read_full_state()
+        outside = eager.trace_numpy_program(function_values, *one)(INPUTS, *given)
+    else:
+        code = launch.compile_to_ptx(tick, one, like, lambda carry: carry["over"], 1, 0, INPUTS)
+        within, _ = jax.jit(lambda *x: launch.run_kernel(code, *x, jnp.int32(0), None))(given, start)
+        outside = jax.jit(jax.vmap(function_values))(*given)
+    both: Any = {}
+    for name in outside:
+        both |= {f"kernel {name}": np.asarray(within[name]), f"outside {name}": np.asarray(outside[name])}
+    np.savez(file, **both)
+    return 0
+
+
+def count_different_values(folder: Path) -> Table:
+    """Evaluate single functions on both devices; return how many of their results differ, by function."""
+    ways = {"as it is": ("", ""), "no fused multiply-add": ("no_fma", "no_fma"), "all alike": ("no_fma", ALIKE)}
+    files = {}
+    for device, way in dict.fromkeys((d, pair[k]) for pair in ways.values() for k, d in enumerate(PLATFORMS)):
+        files[device, way] = folder / f"{device}-{way}.npz"
+        wait_for(start_process(folder, device, way, "--functions", [str(files[device, way])]))
+    stored = {key: dict(np.load(file)) for key, file in files.items()}
+
+    def count(name: str, on_cpu: str, on_gpu: str) -> str:
+        a, b = stored["cpu", on_cpu][name], stored["gpu", on_gpu][name]
+        return f"{int(((a != b) & ~(np.isnan(a) & np.isnan(b))).sum()):,}"
+
+    table = [["function", *(f"kernels, {way}" for way in ways), "NumPy and the GPU's XLA"]]
+    names = [name.removeprefix("kernel ") for name in stored["cpu", ""] if name.startswith("kernel ")]
+    for name in names:
+        counts = [count(f"kernel {name}", *pair) for pair in ways.values()]
+        table.append([f"`{name}`", *counts, count(f"outside {name}", "", "")])
+    return table
 
 
 def simulate(arguments: list[str]) -> int:
@@ -137,42 +249,71 @@ def first_differences(a: Path, b: Path) -> tuple[str, str, str]:
     return f"{len(earliest)} of {rollouts}", f"{earliest['time'].median():.3f} s", told
 
 
+def wait_for(process: subprocess.Popen, scenario: str = "a function") -> str:
+    """Wait for a process; return what it printed."""
+    told, _ = process.communicate()
+    if process.returncode not in (0, 3, 4):
+        raise SystemExit(f"{scenario} failed; set BITS_LOUD=1")
+    return told
+
+
+def measure_scenario(scenario: str, folder: Path) -> dict[str, Table]:
+    """Simulate a scenario in all ways; return lines of the tables of rows and of speeds."""
+    started = [
+        start_process(folder, device, way, "--simulate",
+                      study_arguments(folder / f"{scenario}-{device}-{way}", scenario))
+        for device, way in RUNS
+    ]  # fmt: skip
+    for process in started:
+        wait_for(process, scenario)
+    rows: Table = []
+    speed: Table = []
+    for way, (on_cpu, on_gpu) in WAYS.items():
+        a, b = folder / f"{scenario}-cpu-{on_cpu}", folder / f"{scenario}-gpu-{on_gpu}"
+        equal, outcomes, every = compare_rows(a, b)
+        rows.append([f"`{scenario}`", way, f"{equal} of {every}", f"{outcomes} of {every}", *first_differences(a, b)])
+        print(rows[-1], flush=True)
+    for k, (device, width) in enumerate(WIDTHS.items()):
+        told = []
+        for pair in SPEEDS.values():
+            text = wait_for(start_process(folder, device, pair[k], "--speed", [scenario, str(width)]), scenario)
+            told.append(text.strip().partition(": ")[2].partition(",")[0])
+        speed.append([f"`{scenario}`", device, *told])
+        print(speed[-1], flush=True)
+    return {"rows": rows, "speed": speed}
+
+
+def join_tables(every: shared.Scenarios) -> dict[str, Table]:
+    """Return the tables of all scenarios and of the functions, with their heads."""
+    heads = {
+        "rows": ["scenario", "way", "rows bit-equal", "outcomes equal", "rollouts that ever differ",
+                 "first difference (median)", "quantities that differ then (rollouts)"],
+        "speed": ["scenario", "device", *SPEEDS],
+    }  # fmt: skip
+    tables = {name: [head, *(row for one in every.values() for row in one.get(name, ()))]
+              for name, head in heads.items()}  # fmt: skip
+    return tables | {"functions": every.get("functions", {}).get("table", [])}
+
+
 def main(*scenarios: str) -> None:
-    """Simulate the scenarios in all ways, and write the tables."""
-    start = time.perf_counter()
-    rows: Table = [["scenario", "way", "rows bit-equal", "outcomes equal", "rollouts that ever differ",
-                    "first difference (median)", "quantities that differ then (rollouts)"]]  # fmt: skip
-    speed: Table = [["scenario", "device", "as it is", "no fused multiply-add"]]
+    """Compare functions and scenarios, by default all, and add them to the tables."""
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        for scenario in scenarios or SCENARIOS:
-            started = [
-                start_process(folder, device, way, "--simulate",
-                              study_arguments(folder / f"{scenario}-{device}-{way}", scenario))
-                for device, way in RUNS
-            ]  # fmt: skip
-            for process in started:
-                process.communicate()
-                if process.returncode not in (0, 3, 4):
-                    raise SystemExit(f"{scenario} failed; set BITS_LOUD=1")
-            for way, (on_cpu, on_gpu) in WAYS.items():
-                a, b = folder / f"{scenario}-cpu-{on_cpu}", folder / f"{scenario}-gpu-{on_gpu}"
-                equal, outcomes, every = compare_rows(a, b)
-                told = first_differences(a, b)
-                rows.append([f"`{scenario}`", way, f"{equal} of {every}", f"{outcomes} of {every}", *told])
-                print(rows[-1], flush=True)
-            for device, width in WIDTHS.items():
-                told = []
-                for way in ("as_is", "no_fma"):
-                    text, _ = start_process(folder, device, way, "--speed", [scenario, str(width)]).communicate()
-                    told.append(text.strip().partition(": ")[2].partition(",")[0])
-                speed.append([f"`{scenario}`", device, *told])
-                print(speed[-1], flush=True)
-    shared.write_tables("device_bits", ("mjx",), start, {"rows": rows, "speed": speed})
+        for scenario in scenarios or ("functions", *SCENARIOS):
+            start = time.perf_counter()
+            if scenario == "functions":
+                found = {"table": count_different_values(Path(name))}
+                print(*found["table"], sep="\n", flush=True)
+            else:
+                found = measure_scenario(scenario, Path(name))
+            content = {"device": describe_device(EngineSettings()), **version_record(),
+                       "seconds": time.perf_counter() - start, **found}  # fmt: skip
+            shared.add_scenario(FILE, scenario, content, "python bench/device_bits.py", join_tables)
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] in (["--simulate"], ["--speed"]):
+    if sys.argv[1:2] in (["--simulate"], ["--speed"], ["--functions"]):
         change_way(sys.argv[2])
-        sys.exit(simulate(sys.argv[3:]) if sys.argv[1] == "--simulate" else print_speed(*sys.argv[3:]))
+        told = {"--simulate": lambda *words: simulate(list(words)), "--speed": print_speed,
+                "--functions": evaluate_functions}[sys.argv[1]](*sys.argv[3:])  # fmt: skip
+        sys.exit(told)
     main(*sys.argv[1:])

@@ -1,9 +1,10 @@
-"""Coverage of rare-failure intervals on small MuJoCo models: `python bench/rare_models.py [ENGINE [SEARCHES [PLAIN]]]`.
+"""Coverage of rare-failure intervals on small MuJoCo models.
 
-It writes research/data/rare_models.json, which research/certainty.md cites. Three models with contacts are pushed: a
-box that tips over, a tripod on sprung legs, and the quadruped of `sweep init --model`. The push is so large that about
-one of a thousand draws fails. Plain draws give the probability; repeated importance sampling, all repetitions side by
-side, shows how often its interval holds it.
+`python bench/rare_models.py [ENGINE [SEARCHES [PLAIN [MODEL...]]]]` writes research/data/rare_models.json, which
+research/certainty.md cites; models of another call stay in it. Three models with contacts are pushed: a box that tips
+over, a tripod on sprung legs, and the quadruped of `sweep init --model`. The spread of the push is chosen so that about
+one of a thousand draws fails. Fresh plain draws give the probability; repeated importance sampling, all repetitions
+side by side, shows how often its interval holds it.
 """
 
 import os
@@ -19,17 +20,24 @@ import numpy as np
 import pandas as pd
 import rare
 import shared
+from scipy.special import ndtri
 
 from sweep.analysis.intervals import clopper_pearson
+from sweep.backends.run_id import describe_device
 from sweep.config.experiment import Experiment, compose
+from sweep.contract.engine_settings import EngineSettings
+from sweep.core.provenance import version_record
 from sweep.runs import runner
-from sweep.runs.batches import allocate_delay_buffers, make_engine, make_nominal_batch
+from sweep.runs.batches import make_engine, make_nominal_batch
 from sweep.study.adaptive_sampling import RoundDraws
+from sweep.study.design_kinds.base import FailureEstimate
 from sweep.study.study import make_points
 
-Table = list[list[str]]  # columns, then rows
-
-NUM, TRIED, WIDTH = 256, 256, int(os.environ.get("RARE_WIDTH", "16384"))  # draws of a round, pushes tried, a batch
+NUM = int(os.environ.get("RARE_NUM", "2048"))  # draws of a round, as in conf/study/any_rare.yaml
+TRIED, WIDTH = 256, int(os.environ.get("RARE_WIDTH", "65536"))  # pushes tried, rollouts of a batch
+TARGET, TRIALS = 1e-3, 4  # probability that the spread of the push aims at, batches that look for it
+HEAD = ["model", "failures of plain draws", "probability", "median of the searches", "rollouts of a search",
+        "intervals hold the probability", "touch its interval", "called reliable", "of these hold it"]  # fmt: skip
 BOX = """<mujoco><option timestep="0.002"/>
 <worldbody><geom name="floor" type="plane" size="0 0 1"/>
 <body name="trunk" pos="0 0 0.3"><freejoint/><geom name="box" type="box" size="0.12 0.1 0.3" mass="3"/>
@@ -48,20 +56,26 @@ TRIPOD = f"""<mujoco><option timestep="0.002" integrator="Euler"/>
 <actuator>{"".join(f'<position name="{name}" joint="{name}" kp="150" kv="4"/>' for name in PLACES)}</actuator>
 </mujoco>"""
 HOLD = "import jax.numpy as jnp\ndef policy(belief, seen, state, key): return jnp.zeros(3), state\n"
-# by name: model, controller, seconds, condition of failure, the largest push (N s) that is tried, and by how many
-# standard deviations the mean push is below the one that fails
+# by name: what is simulated, model, controller, seconds, condition of failure, and the largest push (N s) that is tried
 MODELS = {
-    "box that is pushed": ("box.xml", "still:policy", 1.0, "tilt_max_deg > 45", 8.0, 2.6),
-    "tripod that is pushed": ("tripod.xml", "hold:policy", 1.5, "tilt_max_deg > 60", 16.0, 3.1),
-    "quadruped that trots and is pushed": ("quadruped.xml", "trot:policy", 2.0, "base_height_min_m < 0.15", 40.0, 3.1),
-}
+    "box": ("box that is pushed", "box.xml", "still:policy", 1.0, "tilt_max_deg > 45", 8.0),
+    "tripod": ("tripod that is pushed", "tripod.xml", "hold:policy", 1.5, "tilt_max_deg > 60", 16.0),
+    "quadruped": ("quadruped that trots and is pushed", "quadruped.xml", "trot:policy", 2.0,
+                  "base_height_min_m < 0.15", 40.0),
+}  # fmt: skip
 MEAN = 0.7  # of the push, in units of the push that fails at nominal values
 FILES = {"box.xml": BOX, "still.py": STILL, "tripod.xml": TRIPOD, "hold.py": HOLD, "sweep.yaml": "modules: []\n"}
 
 
-def write_study(name: str, threshold: float) -> str:
-    """Write the study of a model whose push fails from a threshold (N s) on; return its file."""
-    model, controller, duration, fell, _, deviations = MODELS[name]
+def write_study(name: str, threshold: float, deviations: float) -> str:
+    """Write the study of a model and return its file.
+
+    Args:
+        name: name of the model.
+        threshold: push (N s) that fails at nominal values.
+        deviations: by how many standard deviations the mean push is below it.
+    """
+    _, model, controller, duration, fell, _ = MODELS[name]
     mean, spread = MEAN * threshold, (1 - MEAN) * threshold / deviations
     extra = ", keyframe: home, observe: [turn, spin], sensors: current" if model == "quadruped.xml" else ""
     Path("study.yaml").write_text(f"""system: mujoco
@@ -88,7 +102,6 @@ class Rollouts:
         self.name = engine
         self.load(study)
         first = self.points(plain_draws(self.exp, 1, 0))
-        self.exp = allocate_delay_buffers(self.exp, first)
         self.engine = make_engine(self.exp, make_nominal_batch(self.exp, first.assign(width=WIDTH), WIDTH))
 
     def load(self, study: str) -> None:
@@ -114,19 +127,31 @@ def plain_draws(exp: Experiment, num: int, before: int) -> RoundDraws:
     return RoundDraws(shares, before + np.arange(num), {})
 
 
-def measure_model(name: str, engine: str, searches: int, plain: int) -> list[str]:
-    """Return a line of the table: the probability by plain draws, and how often the interval of a search holds it."""
-    rollouts = Rollouts(write_study(name, 1.0), engine)
+def count_failures(rollouts: Rollouts, num: int, before: int) -> int:
+    """Count the failures of `num` plain draws that differ from the `before` ones."""
+    (rows,) = rollouts.run([rollouts.points(plain_draws(rollouts.exp, num, before))])
+    return int((rows["outcome"] != "success").sum())
+
+
+def find_spread(rollouts: Rollouts, name: str) -> int:
+    """Load the study whose push fails about `TARGET` of the draws; return how many plain draws were used."""
     tried = rollouts.points(plain_draws(rollouts.exp, TRIED, 0))
-    tried["push.kick.impulse"] = np.linspace(0, MODELS[name][4], TRIED)
+    tried["push.kick.impulse"] = np.linspace(0, MODELS[name][-1], TRIED)
     (rows,) = rollouts.run([tried.assign(**{"push.kick.direction": 0.0, "push.kick.elevation": 0.0})])
     threshold = float(rows["push.kick.impulse"][rows["outcome"] != "success"].min())
-    rollouts.load(write_study(name, threshold))
-    failed, counted = 0, 0
-    while counted < plain:
-        (rows,) = rollouts.run([rollouts.points(plain_draws(rollouts.exp, min(WIDTH, plain - counted), counted))])
-        failed, counted = failed + int((rows["outcome"] != "success").sum()), counted + len(rows)
-    low, high = (float(end) for end in clopper_pearson(failed, counted))
+    deviations, used = -float(ndtri(TARGET)), 0
+    for _ in range(TRIALS):
+        rollouts.load(write_study(name, threshold, deviations))
+        failed, used = count_failures(rollouts, WIDTH, used), used + WIDTH
+        print(f"{name}: {failed} of {WIDTH} fail, threshold {threshold:.3g}, {deviations:.3g} deviations", flush=True)
+        if 0.8 * TARGET <= failed / WIDTH <= 1.2 * TARGET:
+            break
+        deviations += float(ndtri((failed + 0.5) / (WIDTH + 1)) - ndtri(TARGET))
+    return used
+
+
+def run_searches(rollouts: Rollouts, searches: int) -> list[FailureEstimate]:
+    """Return the estimates of repeated importance sampling, one for each seed, simulated side by side."""
     studies = [replace(rollouts.exp, study=replace(rollouts.exp.study, seed=seed)) for seed in range(searches)]
     rounds = [rare.adaptive_rounds(exp) for exp in studies]
     asked, found = [next(one) for one in rounds], {}
@@ -137,19 +162,30 @@ def measure_model(name: str, engine: str, searches: int, plain: int) -> list[str
                 asked[k] = rounds[k].send(rows)
             except StopIteration as done:
                 found[k] = studies[k].study.adaptive_design.estimate_failure(done.value, studies[k].study.draw_context)
-    truth = failed / counted
-    held = sum(one.interval[0] <= truth <= one.interval[1] for one in found.values())
-    touched = sum(one.interval[0] <= high and low <= one.interval[1] for one in found.values())
-    median = float(np.median([one.probability for one in found.values()]))
-    return [name, f"{failed} of {counted:,}", f"{truth:.2g} ({low:.2g} to {high:.2g})", f"{median:.2g}",
-            f"{3 * NUM:,}", f"{held} of {searches}", f"{touched} of {searches}"]  # fmt: skip
+    return [found[k] for k in range(searches)]
+
+
+def measure_model(name: str, engine: str, searches: int, plain: int) -> list[str]:
+    """Return a line of the table: the probability by plain draws, and how often the interval of a search holds it."""
+    rollouts = Rollouts(write_study(name, 1.0, 3.0), engine)
+    used, failed, counted = find_spread(rollouts, name), 0, 0
+    while counted < plain:
+        num = min(WIDTH, plain - counted)
+        failed, counted = failed + count_failures(rollouts, num, used + counted), counted + num
+    truth, (low, high) = failed / counted, map(float, clopper_pearson(failed, counted))
+    found = run_searches(rollouts, searches)
+    held = [one.interval[0] <= truth <= one.interval[1] for one in found]
+    touched = sum(one.interval[0] <= high and low <= one.interval[1] for one in found)
+    reliable = [one.is_reliable for one in found]
+    median = float(np.median([one.probability for one in found]))
+    both = sum(a and b for a, b in zip(held, reliable, strict=True))
+    return [MODELS[name][0], f"{failed} of {counted:,}", f"{truth:.2g} ({low:.2g} to {high:.2g})", f"{median:.2g}",
+            f"{3 * NUM:,}", f"{sum(held)} of {searches}", f"{touched} of {searches}", f"{sum(reliable)} of {searches}",
+            f"{both} of {sum(reliable)}"]  # fmt: skip
 
 
 def main(engine: str = "kernel", searches: str = "100", plain: str = "400000", *names: str) -> None:
-    """Simulate all models, and write the table."""
-    start = time.perf_counter()
-    table: Table = [["model", "failures of plain draws", "probability", "median of the searches",
-                     "rollouts of a search", "intervals hold the probability", "touch its interval"]]  # fmt: skip
+    """Simulate models, by default all, and add them to the table."""
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
         for name, text in FILES.items():
@@ -157,10 +193,16 @@ def main(engine: str = "kernel", searches: str = "100", plain: str = "400000", *
         for name in ("quadruped.xml", "trot.py"):
             Path(name).write_text((files("sweep.cli") / "template_model" / name).read_text(encoding="utf-8"))
         for name in names or MODELS:
-            table.append(measure_model(name, engine, int(searches), int(plain)))
-            print(table[-1], flush=True)
+            start = time.perf_counter()
+            row = measure_model(name, engine, int(searches), int(plain))
+            content = {"device": describe_device(EngineSettings(name=engine)), **version_record(),
+                       "seconds": time.perf_counter() - start, "row": row}  # fmt: skip
+            shared.add_scenario(
+                shared.DATA / "rare_models.json", name, content, "python bench/rare_models.py",
+                lambda every: {"models": [HEAD, *(one["row"] for one in every.values())]}, f"`{engine}`",
+            )  # fmt: skip
+            print(row, flush=True)
         os.chdir("/")
-    shared.write_tables("rare_models", (engine,), start, {"models": table})
 
 
 if __name__ == "__main__":

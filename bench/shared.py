@@ -31,7 +31,12 @@ def join_values(scenarios: Iterable[Mapping[str, Any]], key: str) -> str:
 
 
 def add_scenario(
-    file: Path, name: str, content: dict[str, Any], command: str, tables: Callable[[Scenarios], Any]
+    file: Path,
+    name: str,
+    content: dict[str, Any],
+    command: str,
+    tables: Callable[[Scenarios], Any],
+    engine: str = "`mjx`",
 ) -> None:
     """Add a scenario to a file, and update what the file says of all."""
     with filelock.FileLock(file.with_suffix(".lock")):
@@ -39,7 +44,7 @@ def add_scenario(
         about = {key: join_values(every.values(), key) for key in BY}
         whole = {
             "command": command,
-            "engine": "`mjx`",
+            "engine": engine,
             "devices": sorted({one["device"] for one in every.values()}),
             **about,
             "seconds": round(sum(one["seconds"] for one in every.values())),
