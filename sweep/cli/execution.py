@@ -12,11 +12,13 @@ from sweep.analysis import power, rare
 from sweep.analysis.expectations import unmet_expectations
 from sweep.analysis.sample import drop_repeated_rollouts, pooled_success_rate
 from sweep.analysis.stats import format_cause_counts, success_rate
+from sweep.cli import live_page
 from sweep.cli.exits import DONE, INVALID, UNEXPECTED
 from sweep.cli.run_progress import report_progress
 from sweep.config.experiment import Experiment, build_experiment, compose_values
 from sweep.core import terminal
 from sweep.core.errors import Fault, InputError
+from sweep.core.files import path_inside_folder
 from sweep.core.progress import (
     format_compile_estimate,
     format_last_duration,
@@ -27,7 +29,7 @@ from sweep.core.progress import (
 )
 from sweep.report import tables
 from sweep.report.headline import study_headline
-from sweep.runs import adaptive_rounds, axis_check, axis_effects, refine, runner, store, time_series
+from sweep.runs import adaptive_rounds, axis_check, axis_effects, refine, results, runner, store, time_series
 from sweep.runs.batches import make_engine
 from sweep.runs.batches import make_nominal_batch as nominal_batch
 from sweep.runs.nominal_levels import FailingLevel, find_failing_levels
@@ -49,6 +51,7 @@ class RunFlags:
     check: bool = False
     limit: int | None = None
     where: str | None = None
+    report: bool = False
 
 
 def execute_experiment(exp: Experiment, flags: RunFlags) -> int:
@@ -70,6 +73,8 @@ def execute_experiment(exp: Experiment, flags: RunFlags) -> int:
                 raise InputError(f"{flag} = {value} selects points of a study: give study=NAME, or leave it out")
         if flags.check:
             raise InputError("--check tests the axes of a study: give study=NAME")
+        if flags.report:
+            raise InputError("--report writes the page of a study: give study=NAME")
     if exp.study.single and not exp.out:
         return execute_single_rollout(exp, flags)
     folder = exp.folder
@@ -111,6 +116,7 @@ def execute_experiment(exp: Experiment, flags: RunFlags) -> int:
     with store.lock_folder(folder), connect_lazily(exp.cluster, watched) as dispatch:
         for line in runner.repair_folder(exp, folder):
             say(line)
+        page_process = live_page.start_page_process(folder) if flags.report else None
         done, start, to_do = 0, time.perf_counter(), iterate_study_jobs(exp, folder, first, whole)
         for line in runner.describe_changed_axes(exp, folder):
             say(line)
@@ -146,6 +152,9 @@ def execute_experiment(exp: Experiment, flags: RunFlags) -> int:
     print(f"{len(rows)} of {size} planned rollouts are in {folder}")
     if complete and exp.study.replays:
         record_study_replays(exp, folder, rows)
+    if page_process:
+        page_process.wait()  # which may write a page without the replays
+        print(write_study_page(folder))
     return report_unmet_expectations(exp, rows, complete)
 
 
@@ -170,19 +179,28 @@ def record_study_replays(exp: Experiment, folder: Path, rows: pd.DataFrame) -> N
     start = time.perf_counter()
     sys.stdout.flush()  # the summary, before some seconds of simulation
     chosen, copies = drop_repeated_rollouts(rows, exp)
-    results = Results(folder, store.read_study(folder), exp, chosen, None, len(rows), copies)
+    recorded = Results(folder, store.read_study(folder), exp, chosen, None, len(rows), copies)
 
     def words(done: int, total: int) -> str:
         return f"{done} of {total} replays recorded; study.replays=0 records none"
 
     try:
         with store.lock_folder(folder), show_progress_counts(words, 0, exp.study.replays) as report:
-            number = recording.record_replays(results, report)
+            number = recording.record_replays(recorded, report)
     except (InputError, Fault, MemoryError) as error:
         print(f"sweep: no replays recorded: {error or 'not enough memory'}", file=sys.stderr)
         return
     if number:
         print(f"{number} replays recorded in {time.perf_counter() - start:.1f} s (study.replays)", file=sys.stderr)
+
+
+def write_study_page(folder: Path) -> Path:
+    """Write the page of a study into its folder, as `sweep report` does, and return its path."""
+    from sweep.report import page  # imports Matplotlib, see above
+
+    return page.write_page(
+        results.read_results(folder, with_bookkeeping=False), path_inside_folder(folder, "report.html")
+    )
 
 
 def find_failing_axis_levels(exp: Experiment) -> list[FailingLevel]:

@@ -1,5 +1,7 @@
 """Page of a study that runs: rewritten as rows arrive, until the run ends."""
 
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -43,6 +45,19 @@ def watch_run(folder: Path, write: Callable[[LiveProgress | None], None]) -> Non
         due = time.monotonic() + max(LEAST_INTERVAL_S, IDLE_SHARE * (time.monotonic() - began))
         while time.monotonic() < due and store.is_folder_locked(folder):  # no longer than the run
             time.sleep(min(LEAST_INTERVAL_S, LOCK_CHECK_INTERVAL_S))
+
+
+def start_page_process(folder: Path) -> "subprocess.Popen[bytes]":
+    """Start `sweep report FOLDER --watch` as a process of its own, so that no rollout waits for a page.
+
+    Args:
+        folder: Folder of a study, whose lock the caller holds. The process ends soon after the lock is free, also
+            where the caller was interrupted or killed.
+    """
+    command = [sys.executable, "-m", "sweep.cli", "report", str(folder), "--watch"]
+    nothing = subprocess.DEVNULL
+    # in a session of its own, which Ctrl-C does not end: its last page has no progress that never advances
+    return subprocess.Popen(command, stdin=nothing, stdout=nothing, stderr=nothing, start_new_session=True)
 
 
 def measure_progress(planned: int, done: int, first: tuple[int, float], now: float) -> LiveProgress:

@@ -1,7 +1,11 @@
 """A run ends with replays of a few rollouts, and the page opens on them."""
 
-import pytest
+import time
 
+import pytest
+from small_study import start
+
+from sweep.cli import live_page
 from sweep.cli.main import main
 from sweep.report import replay_selection, replays, representative
 from sweep.runs import results, store
@@ -14,10 +18,29 @@ def files(folder):
     return sorted(file.name for file in (folder / replays.REPLAYS_FOLDER).glob("*.json"))
 
 
-def test_a_run_records_replays_of_its_most_informative_rollouts_once(fake_engine, recorded, tmp_path, capsys):
+class PageProcess:
+    """What stands for the process that rewrites the page: it says whether the folder is in use."""
+
+    def __init__(self, folder, told):
+        self.folder, self.told = folder, told
+        told.append("locked at its start" if store.is_folder_locked(folder) else "free at its start")
+
+    def wait(self):
+        self.told.append("locked at its end" if store.is_folder_locked(self.folder) else "free at its end")
+
+
+def test_a_run_records_replays_of_its_most_informative_rollouts_once(
+    fake_engine, recorded, tmp_path, capsys, monkeypatch
+):
     out = tmp_path / "study"
-    assert main([*MAP, f"out={out}"]) == 0
-    assert "6 replays recorded in" in capsys.readouterr().err
+    pages = []
+    monkeypatch.setattr(live_page, "start_page_process", lambda folder: PageProcess(folder, pages))
+    assert main([*MAP, f"out={out}", "--report"]) == 0
+    assert pages == ["locked at its start", "free at its end"]
+    printed = capsys.readouterr()
+    assert printed.out.endswith(f"{out}/report.html\n")
+    assert (out / "report.html").read_text().count('"why"') == 6
+    assert "6 replays recorded in" in printed.err
     found = results.read_results(out)
     shown = [found.rows.iloc[place] for place, _ in replays.read_replays(found)]
     assert len(shown) == 6
@@ -28,6 +51,18 @@ def test_a_run_records_replays_of_its_most_informative_rollouts_once(fake_engine
     assert main([*MAP, f"out={out}"]) == 0  # resumes: only what is missing
     assert "1 replays recorded in" in capsys.readouterr().err
     assert files(out) == before
+
+
+@pytest.mark.slow
+def test_the_page_of_a_run_is_rewritten_as_rows_arrive(tmp_path):
+    page = tmp_path / "report.html"
+    process = start(tmp_path, "--report", FAKE_SECONDS="5")
+    while not page.exists() and process.poll() is None:
+        time.sleep(0.05)
+    assert "The study runs: " in page.read_text()
+    assert process.communicate(timeout=240)[0].endswith(f"{page}\n")
+    assert process.returncode == 0
+    assert "The study runs: " not in page.read_text()
 
 
 @pytest.mark.parametrize("flags", [["study.replays=0"], ["--limit", "10"], ["--dry-run"]])

@@ -49,6 +49,9 @@ def add_arguments(parser: Arguments) -> None:
     )
     parser.add_argument("--limit", type=int, metavar="N", help="only the first N points of the study")
     parser.add_argument("--where", metavar="CONDITION", help="only points that match, such as 'friction > 0.8'")
+    parser.add_argument(
+        "--report", action="store_true", help="write the page of the study, again and again as rows arrive"
+    )
     parser.add_argument("--points", metavar="FILE.csv", help="read points from a CSV file whose columns are parameters")
 
 
@@ -57,6 +60,8 @@ def run(args: argparse.Namespace) -> int:
     overrides: list[str] = args.overrides
     if args.limit is not None and args.limit < 1:
         raise InputError(f"--limit = {args.limit} is not allowed: at least 1")
+    if args.report and (args.dry_run or args.check):
+        raise InputError("--report is not allowed with --dry-run or --check, which simulate no rows")
     for group in GROUPS:
         if len(chosen := [one for one in overrides if one.startswith(f"{group}=")]) > 1:
             raise InputError(f"{group} is chosen twice: {' '.join(chosen)}")
@@ -84,6 +89,6 @@ def run(args: argparse.Namespace) -> int:
             execute_experiment,
         )
 
-        return execute_experiment(exp, RunFlags(args.dry_run, args.check, args.limit, args.where))
+        return execute_experiment(exp, RunFlags(args.dry_run, args.check, args.limit, args.where, args.report))
 
     return launch_hydra(overrides, work, list_flags(make_parser("run")))
