@@ -19,8 +19,6 @@ from scipy.stats import binom
 
 from sweep.analysis.sequential import log_e_value, pairs_for_fixed_sample_test
 
-Table = list[list[str]]  # columns, then rows
-
 ALPHA, REPETITIONS, MOST = 0.05, 2000, 4000
 SETTINGS = ((0.9, 0.8, 0.5), (0.9, 0.85, 0.5), (0.99, 0.95, 0.2), (0.7, 0.5, 0.3), (0.95, 0.9, 0.0))
 MAX_PAIRS, FIRST = 1000, 10  # pairs at most, and before Barnard's test is first evaluated
@@ -62,7 +60,7 @@ def bounds(rng: np.random.Generator) -> np.ndarray:
     return np.quantile(np.array(most), 1 - ALPHA, axis=2).max(axis=0)
 
 
-def decision_table(rng: np.random.Generator) -> Table:
+def decision_table(rng: np.random.Generator) -> shared.Table:
     """Return the pairs until a decision by three tests, and how often there is one within `MAX_PAIRS`."""
     limits = bounds(rng)
     table = [["A", "B", "correlation", "*E*", "Lai's", "Barnard's"]]
@@ -79,7 +77,7 @@ def decision_table(rng: np.random.Generator) -> Table:
     return table
 
 
-def false_difference_table(rng: np.random.Generator) -> Table:
+def false_difference_table(rng: np.random.Generator) -> shared.Table:
     """Return how often a difference is found between equal arms, by how often the test is evaluated."""
     table = [
         ["both succeed", "correlation", "*E* finds a difference", "McNemar's test, looked at every ten pairs, does"]
@@ -94,7 +92,7 @@ def false_difference_table(rng: np.random.Generator) -> Table:
     return table
 
 
-def difference_table(rng: np.random.Generator) -> Table:
+def difference_table(rng: np.random.Generator) -> shared.Table:
     """Return the pairs until the evidence shows a difference."""
     table = [["A", "B", "correlation", "looked at once", "mean", "median", "95 of 100 within"]]
     for a, b, correlation in SETTINGS:

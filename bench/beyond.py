@@ -1,7 +1,7 @@
 """Successes of the built-in robot's scenarios on draws wider than those that its plans were searched for.
 
 To run: `python bench/beyond.py [NAME...]`, from a checkout; a name is SCENARIO or SCENARIO:KIND, by default all
-scenarios and kinds. It adds to research/data/beyond.json, cited by research/robustness.md.
+scenarios and kinds. It adds to research/data/beyond.json, which research/searching_plans.md cites.
 
 Kinds of draws: `known` (all sizes, masses and friction within 4 %, heights of a pole within 2 %), `loads` (masses
 within 20 % and other obstacles) and `unknown` (all within 2 %, unknown to the planner, without and with learning).
@@ -73,10 +73,10 @@ def draw_axes(obstacle: str, kind: str) -> dict[str, float | tuple[float, float]
     return {**dict.fromkeys(ROBOT, wide), **sizes, "contact.friction": wide}
 
 
-def study_overrides(scenario: str, kind: str, seed: int = SEED) -> list[str]:
+def study_overrides(scenario: str, kind: str) -> list[str]:
     """Return the overrides of a study of one kind of draws of a scenario."""
     side = "world" if kind in ("unknown", "learned") else "both"
-    found = ["study.design.kind=monte_carlo", f"study.design.num={DRAWS}", f"study.seed={seed}", "study.replays=0",
+    found = ["study.design.kind=monte_carlo", f"study.design.num={DRAWS}", f"study.seed={SEED}", "study.replays=0",
              "study.invalid_max=1", f"study.name={scenario}_{kind}"]  # fmt: skip
     obstacle = compose([f"scenario={scenario}"]).case.obstacle.kind
     for path, ends in draw_axes(obstacle, kind).items():
@@ -93,14 +93,14 @@ def count_causes(rows: pd.DataFrame) -> dict[str, int]:
     return {str(key): int(count) for key, count in found.items()}
 
 
-def simulate_cell(scenario: str, kind: str, *more: str) -> dict[str, Any]:
+def simulate_cell(scenario: str, kind: str) -> dict[str, Any]:
     """Simulate the draws of one cell; return successes, and causes by stage of all others."""
     with tempfile.TemporaryDirectory() as folder:
-        rows = api.run([*study_overrides(scenario, kind), *more, f"out={Path(folder) / 'draws'}"])
+        rows = api.run([*study_overrides(scenario, kind), f"out={Path(folder) / 'draws'}"])
     return {"success": int((rows["outcome"] == "success").sum()), "draws": len(rows), "causes": count_causes(rows)}
 
 
-def evidence_tables(scenarios: Mapping[str, Mapping[str, Any]]) -> dict[str, list[list[str]]]:
+def evidence_tables(scenarios: Mapping[str, Mapping[str, Any]]) -> dict[str, shared.Table]:
     """Return the table of successes, and that of cells below the goal with their most frequent causes."""
     cells = {(name, kind): one["cells"][kind] for name, one in scenarios.items() for kind in KINDS
              if kind in one["cells"]}  # fmt: skip

@@ -137,7 +137,7 @@ def classify_cliff(one: dict[str, Any]) -> str:
     return "figure" if alike else "motions"
 
 
-def tables(scenarios: shared.Scenarios) -> dict[str, list[list[str]]]:
+def tables(scenarios: shared.Scenarios) -> dict[str, shared.Table]:
     """Return the kinds of cliffs, by cause and by scenario."""
     every = [{**one, "scenario": name} for name, found in scenarios.items() for one in found["cliffs"]]
     judged = ["cliffs", "none at 1e-4", "a figure jumps", "motions part"]

@@ -20,13 +20,11 @@ from sweep.analysis.power import find_smallest_sample_size, mcnemar_power
 from sweep.core.plot_style import save_figure
 from sweep.report import league as report
 
-Table = list[list[str]]  # columns, then rows
-
 RATES = np.round(np.arange(0.5, 0.96, 0.05), 2)
 STEP, MOST, RACES = 20, 20_000, 40  # units between looks, units at most, simulated races
 LEAGUES, POINTS = 120, 150  # simulated leagues, and their points
 CORRELATIONS = (0.0, 0.5)  # of the normal numbers behind the outcomes
-FIGURE = shared.DATA.parent / "figures" / "league.png"
+FIGURE = shared.FIGURES / "league.png"
 
 
 def outcomes(rates: np.ndarray, points: int, correlation: float, rng: np.random.Generator) -> np.ndarray:
@@ -69,7 +67,7 @@ def fixed_rollouts(correlation: float) -> int:
     return max(sizes) * len(RATES)
 
 
-def race_table(rng: np.random.Generator) -> Table:
+def race_table(rng: np.random.Generator) -> shared.Table:
     """Return the mean rollouts of races with and without stopping, and how often a verdict is wrong."""
     table = [["wanted", "correlation", "race", "equal allocation, same tests", "saved", "fixed size", "wrong verdict"]]
     for wanted, only_best in (("all pairs", False), ("the best policy", True)):
@@ -86,7 +84,7 @@ def race_table(rng: np.random.Generator) -> Table:
     return table
 
 
-def error_table(rng: np.random.Generator) -> Table:
+def error_table(rng: np.random.Generator) -> shared.Table:
     """Return how often any of all statements of a league is wrong."""
     table = [["success rates", "correlation", "a verdict", "an interval of a rate", "an interval of a difference"]]
     for name, rates in (

@@ -121,7 +121,7 @@ def summarize_line(rows: pd.DataFrame, columns: list[str]) -> dict[str, Any]:
     }
 
 
-def tables(scenarios: shared.Scenarios) -> dict[str, list[list[str]]]:
+def tables(scenarios: shared.Scenarios) -> dict[str, shared.Table]:
     """Return the numbers of lines in which each column leads, and the causes of cliffs."""
     heads = ["scenario", "lengths off by, %", "fail", "no cliff", "none above nought"]
     leading = [[*heads, *COLUMNS.values(), "any"]]

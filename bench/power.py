@@ -17,11 +17,9 @@ from sweep.analysis import power, sampling_units
 from sweep.analysis.intervals import clopper_pearson, wilson
 from sweep.core.plot_style import COLUMN_WIDTH_IN, add_legend_below, new_figure, save_figure
 
-Table = list[list[str]]  # columns, then rows
-
 STUDIES = 4000  # simulated studies of independent rollouts
 FRESH, PILOTS = 200, 20  # simulated studies of dependent rows, and pilots that predict them
-FIGURE = shared.DATA.parent / "figures" / "power.png"
+FIGURE = shared.FIGURES / "power.png"
 PAIRED = ((0.9, 0.8, 0.5), (0.9, 0.85, 0.5), (0.99, 0.95, 0.2), (0.7, 0.5, 0.0))
 DESIGNS = (
     ("64 draws, 10 replicates", {"kind": "monte_carlo", "num": 64}, 10),
@@ -30,7 +28,7 @@ DESIGNS = (
 )
 
 
-def size_table(rng: np.random.Generator) -> Table:
+def size_table(rng: np.random.Generator) -> shared.Table:
     """Return sizes by question, and the share of simulated studies that meet the goal."""
     table = [["question", "rollouts", "wanted", "met", "met with 10 % fewer"]]
 
@@ -81,7 +79,7 @@ def size_table(rng: np.random.Generator) -> Table:
     return table
 
 
-def unit_table() -> Table:
+def unit_table() -> shared.Table:
     """Return the mean half-width of simulated studies, as one of them predicts it and as rows predict it."""
     table = [["design", "half-width", "predicted by a pilot", "of as many independent rows"]]
     for name, design, replicates in DESIGNS:

@@ -13,7 +13,9 @@ from sweep.contract.engine_settings import EngineSettings
 from sweep.core.files import write_atomically
 from sweep.core.provenance import version_record
 
-DATA = Path(__file__).parents[1] / "research" / "data"
+RESEARCH = Path(__file__).parents[1] / "research"
+DATA, FIGURES = RESEARCH / "data", RESEARCH / "figures"
+Table = list[list[str]]  # columns, then rows
 
 SCENARIOS = "scenarios"
 BY = ("code", "commit")  # versions that each was made with; several are joined
@@ -54,7 +56,7 @@ def add_scenario(
         write_atomically(file, (json.dumps(whole, indent=1) + "\n").encode())
 
 
-def write_tables(name: str, engines: Sequence[str], start: float, tables: Mapping[str, list[list[str]]]) -> None:
+def write_tables(name: str, engines: Sequence[str], start: float, tables: Mapping[str, Table]) -> None:
     """Write the tables of `python bench/NAME.py`.
 
     Args:

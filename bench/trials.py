@@ -16,11 +16,9 @@ from sweep.analysis import trials
 from sweep.core.plot_style import COLUMN_WIDTH_IN, new_figure, save_figure
 from sweep.study.importance_sampling import effective_sample_size
 
-Table = list[list[str]]  # columns, then rows
-
 DRAWS, SETS, NOISE = 1000, 200, 0.05  # simulated draws; sets of real trials; standard deviation
 CONDITIONS = np.round(np.arange(0.2, 1.21, 0.1), 1)
-FIGURE = shared.DATA.parent / "figures" / "trials.png"
+FIGURE = shared.FIGURES / "trials.png"
 
 
 def succeed(c: np.ndarray, x: np.ndarray, threshold: float, rng: np.random.Generator) -> np.ndarray:
@@ -28,7 +26,7 @@ def succeed(c: np.ndarray, x: np.ndarray, threshold: float, rng: np.random.Gener
     return c + x + NOISE * rng.standard_normal(np.broadcast_shapes(np.shape(c), np.shape(x))) < threshold
 
 
-def calibration_table(rng: np.random.Generator) -> Table:
+def calibration_table(rng: np.random.Generator) -> shared.Table:
     """Return how often predictions are called wrong, if they are right and if reality differs."""
     table = [["reality", "trials", "Brier score", "expected Brier score", "called not calibrated"]]
     grid = (np.arange(2000) + 0.5) / 2000
@@ -46,7 +44,7 @@ def calibration_table(rng: np.random.Generator) -> Table:
     return table
 
 
-def belief_tables(rng: np.random.Generator) -> Table:
+def belief_tables(rng: np.random.Generator) -> shared.Table:
     """Return what trials say of the parameters of a reality with one x."""
     table = [["true x", "trials", "x after", "its error", "x moved", "y moved", "effective draws"]]
     for x in (0.3, 0.7):
