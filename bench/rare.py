@@ -12,7 +12,7 @@ import argparse
 import itertools
 import sys
 import time
-from collections.abc import Generator, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from scipy.stats import t as student
 from sweep.analysis.intervals import CONFIDENCE_LEVEL, clopper_pearson
 from sweep.analysis.rare import estimate_failure_probability
 from sweep.config.experiment import Experiment, build_experiment, compose_values
+from sweep.contract.engine import Engine
 from sweep.core.errors import InputError
 from sweep.core.expressions import evaluate_expression, find_column
 from sweep.core.files import write_atomically
@@ -82,7 +83,7 @@ class Robots:
         self.values = compose_values([f"scenario={scenario}", "study=any_rare", f"engine.width={width}", *overrides])
         self.lead = LEADS.get(scenario, LEAD)
         exp = self.scaled_study(1.0)
-        first = self.points(exp, plain(exp, 1, 0))
+        first = self.points(exp, plain_draws(exp, 1, 0))
         self.exp = allocate_delay_buffers(exp, first)
         start = make_nominal_batch(self.exp, first.assign(width=width), width)
         self.width, self.engine = width, make_engine(self.exp, start)
@@ -103,11 +104,7 @@ class Robots:
 
     def run(self, tables: list[pd.DataFrame]) -> list[pd.DataFrame]:
         """Return the rows of each table, simulated in full batches except the last."""
-        every = pd.concat(tables, ignore_index=True).assign(width=self.width)
-        parts = [every[k : k + self.width] for k in range(0, len(every), self.width)]
-        rows = pd.concat([self.select_columns(runner.simulate_batch(self.exp, self.engine, part)[0]) for part in parts])
-        ends = np.cumsum([0, *map(len, tables)])
-        return [rows[a:b].reset_index(drop=True) for a, b in itertools.pairwise(ends)]
+        return simulate_tables(self.exp, self.engine, self.width, tables, self.select_columns)
 
     def select_columns(self, rows: pd.DataFrame) -> pd.DataFrame:
         """Return the columns that searches need, with the leading margin."""
@@ -115,7 +112,30 @@ class Robots:
         return rows.assign(lead=lead)[[*(c for c in map(str, rows) if c.startswith("axis.")), *ROW]]
 
 
-def plain(exp: Experiment, num: int, before: int) -> RoundDraws:
+def simulate_tables(
+    exp: Experiment,
+    engine: Engine,
+    width: int,
+    tables: list[pd.DataFrame],
+    select_columns: Callable[[pd.DataFrame], pd.DataFrame] = lambda rows: rows,
+) -> list[pd.DataFrame]:
+    """Return the rows of each table of points, simulated side by side in batches that are full except the last.
+
+    Args:
+        exp: Experiment of the points.
+        engine: Its engine.
+        width: Rollouts of a batch.
+        tables: Points.
+        select_columns: Selects the columns of rows to keep.
+    """
+    every = pd.concat(tables, ignore_index=True).assign(width=width)
+    parts = [every[k : k + width] for k in range(0, len(every), width)]
+    rows = pd.concat([select_columns(runner.simulate_batch(exp, engine, part)[0]) for part in parts])
+    ends = np.cumsum([0, *map(len, tables)])
+    return [rows[a:b].reset_index(drop=True) for a, b in itertools.pairwise(ends)]
+
+
+def plain_draws(exp: Experiment, num: int, before: int) -> RoundDraws:
     """Return `num` plain draws that differ from the `before` ones."""
     shares = np.random.default_rng([PLAIN, before]).random((num, len(exp.study.axes)))
     return RoundDraws(shares, before + np.arange(num), {})
@@ -148,7 +168,7 @@ def find_scales(robots: Robots, targets: list[float], num: int) -> dict[str, flo
     now and then.
     """
     exps = [robots.scaled_study(scale) for scale in LADDER]
-    tables = [robots.points(exp, plain(exp, num, 0)) for exp in exps]
+    tables = [robots.points(exp, plain_draws(exp, num, 0)) for exp in exps]
     shares, failures = zip(*((bad.mean(), bad.sum()) for bad in map(is_failure, robots.run(tables))), strict=True)
     told = [k for k in range(len(LADDER)) if failures[k] >= KNOWN and shares[k] <= MOST]
     print(
@@ -234,7 +254,7 @@ def measure_cells(robots: Robots, kept: "Cells", given: argparse.Namespace, dead
         room = -sum(map(len, tables.values())) % robots.width or (0 if tables else robots.width)
         if room and (growing := kept.plain_targets()):  # for the truth, of the first cell that lacks some
             exp = robots.scaled_study(kept.scales[target := kept.next_short_target() or growing[-1]])
-            tables[target] = robots.points(exp, plain(exp, room, kept.plain()))
+            tables[target] = robots.points(exp, plain_draws(exp, room, kept.plain()))
         found = dict(zip(tables, robots.run(list(tables.values())), strict=True))
         took = (time.perf_counter() - start) / sum(map(len, tables.values()))
         for key, rows in found.items():
@@ -382,7 +402,7 @@ class Cells:
         shared.add_scenario(self.file, self.scenario, self.content, "python bench/rare.py SCENARIO", tables)
 
 
-def tables(scenarios: shared.Scenarios) -> dict[str, list[list[str]]]:
+def tables(scenarios: shared.Scenarios) -> dict[str, shared.Table]:
     """Return the tables that research/certainty.md cites."""
     return {"truth": truth_table(scenarios), "cost": cost_table(scenarios), "beyond": extrapolation_table(scenarios)}
 
@@ -398,7 +418,7 @@ def cells_by_line(scenarios: shared.Scenarios, known: bool = True) -> Iterable[t
                 yield [f"`{name}`", f"{one['scales'][target]:g}"], {w: c for w, c in ways.items() if "P" in c}
 
 
-def truth_table(scenarios: shared.Scenarios) -> list[list[str]]:
+def truth_table(scenarios: shared.Scenarios) -> shared.Table:
     """Return both estimators beside plain draws; cells are blank where one did not finish.
 
     The interval of a ratio includes both errors. Intervals of single studies hold if they contain the mean of all.
@@ -426,7 +446,7 @@ def truth_table(scenarios: shared.Scenarios) -> list[list[str]]:
     return table
 
 
-def cost_table(scenarios: shared.Scenarios) -> list[list[str]]:
+def cost_table(scenarios: shared.Scenarios) -> shared.Table:
     """Return the rollouts, and machine seconds, for a relative standard error of a tenth."""
     table = [["scenario", "P(failure)", "plain draws", "s", "importance", "s", "levels", "s"]]
     for (name, _), ways in cells_by_line(scenarios):
@@ -441,7 +461,7 @@ def cost_table(scenarios: shared.Scenarios) -> list[list[str]]:
     return table
 
 
-def extrapolation_table(scenarios: shared.Scenarios) -> list[list[str]]:
+def extrapolation_table(scenarios: shared.Scenarios) -> shared.Table:
     """Return both estimators where there is no ground truth: mean of all repetitions, and rollouts needed.
 
     Plain draws of larger errors are extrapolated beside them, where there are some at three scales.

@@ -7,13 +7,13 @@ one of a thousand draws fails. Fresh plain draws give the probability; repeated 
 side by side, shows how often its interval holds it.
 """
 
+import contextlib
 import os
 import sys
 import tempfile
 import time
 from dataclasses import replace
 from importlib.resources import files
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -24,10 +24,9 @@ from scipy.special import ndtri
 
 from sweep.analysis.intervals import clopper_pearson
 from sweep.backends.run_id import describe_device
-from sweep.config.experiment import Experiment, compose
+from sweep.config.experiment import compose
 from sweep.contract.engine_settings import EngineSettings
 from sweep.core.provenance import version_record
-from sweep.runs import runner
 from sweep.runs.batches import make_engine, make_nominal_batch
 from sweep.study.adaptive_sampling import RoundDraws
 from sweep.study.design_kinds.base import FailureEstimate
@@ -101,7 +100,7 @@ class Rollouts:
     def __init__(self, study: str, engine: str):
         self.name = engine
         self.load(study)
-        first = self.points(plain_draws(self.exp, 1, 0))
+        first = self.points(rare.plain_draws(self.exp, 1, 0))
         self.engine = make_engine(self.exp, make_nominal_batch(self.exp, first.assign(width=WIDTH), WIDTH))
 
     def load(self, study: str) -> None:
@@ -114,28 +113,18 @@ class Rollouts:
 
     def run(self, tables: list[pd.DataFrame]) -> list[pd.DataFrame]:
         """Return the rows of each table, simulated side by side."""
-        every = pd.concat(tables, ignore_index=True).assign(width=WIDTH)
-        parts = [every[k : k + WIDTH] for k in range(0, len(every), WIDTH)]
-        rows = pd.concat([runner.simulate_batch(self.exp, self.engine, part)[0] for part in parts], ignore_index=True)
-        ends = np.cumsum([0, *map(len, tables)])
-        return [rows[a:b].reset_index(drop=True) for a, b in pairwise(ends)]
-
-
-def plain_draws(exp: Experiment, num: int, before: int) -> RoundDraws:
-    """Return `num` plain draws that differ from the `before` ones."""
-    shares = np.random.default_rng([rare.PLAIN, before]).random((num, len(exp.study.axes)))
-    return RoundDraws(shares, before + np.arange(num), {})
+        return rare.simulate_tables(self.exp, self.engine, WIDTH, tables)
 
 
 def count_failures(rollouts: Rollouts, num: int, before: int) -> int:
     """Count the failures of `num` plain draws that differ from the `before` ones."""
-    (rows,) = rollouts.run([rollouts.points(plain_draws(rollouts.exp, num, before))])
+    (rows,) = rollouts.run([rollouts.points(rare.plain_draws(rollouts.exp, num, before))])
     return int((rows["outcome"] != "success").sum())
 
 
 def find_spread(rollouts: Rollouts, name: str) -> int:
     """Load the study whose push fails about `TARGET` of the draws; return how many plain draws were used."""
-    tried = rollouts.points(plain_draws(rollouts.exp, TRIED, 0))
+    tried = rollouts.points(rare.plain_draws(rollouts.exp, TRIED, 0))
     tried["push.kick.impulse"] = np.linspace(0, MODELS[name][-1], TRIED)
     (rows,) = rollouts.run([tried.assign(**{"push.kick.direction": 0.0, "push.kick.elevation": 0.0})])
     threshold = float(rows["push.kick.impulse"][rows["outcome"] != "success"].min())
@@ -186,8 +175,7 @@ def measure_model(name: str, engine: str, searches: int, plain: int) -> list[str
 
 def main(engine: str = "kernel", searches: str = "100", plain: str = "400000", *names: str) -> None:
     """Simulate models, by default all, and add them to the table."""
-    with tempfile.TemporaryDirectory() as folder:
-        os.chdir(folder)
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
         for name, text in FILES.items():
             Path(name).write_text(text)
         for name in ("quadruped.xml", "trot.py"):
@@ -202,7 +190,6 @@ def main(engine: str = "kernel", searches: str = "100", plain: str = "400000", *
                 lambda every: {"models": [HEAD, *(one["row"] for one in every.values())]}, f"`{engine}`",
             )  # fmt: skip
             print(row, flush=True)
-        os.chdir("/")
 
 
 if __name__ == "__main__":
