@@ -22,22 +22,18 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import shared
+from reproducibility import bit_equal
 
 from sweep.backends.run_id import describe_device
 from sweep.contract.engine_settings import EngineSettings
 from sweep.core.provenance import version_record
 from sweep.fused import lanes
 from sweep.runs import store
-from sweep.study.columns import LABEL_COLUMNS, PLACEMENT_COLUMNS, TIMING_COLUMNS
-
-Table = list[list[str]]  # columns, then rows
+from sweep.study.columns import metric_columns
 
 SCENARIOS = ("walk_tripod", "pole_climb", "ball_balance")
-ROWS, WATCHED, RATE = (
-    int(os.environ.get("BITS_ROWS", "4096")),
-    64,
-    250,
-)  # rollouts, those with histories, samples a second
+ROWS, WATCHED = int(os.environ.get("BITS_ROWS", "4096")), 64  # rollouts, and those with histories
+RATE = 250  # samples of a history a second
 PLATFORMS = {"cpu": "cpu", "gpu": "cuda"}
 ALIKE = "host,no_fma,in_order,ieee"  # a GPU without any known difference
 WAYS = {  # by name: ways of the CPU and the GPU
@@ -144,7 +140,7 @@ def evaluate_functions(file: str) -> int:
     return 0
 
 
-def count_different_values(folder: Path) -> Table:
+def count_different_values(folder: Path) -> shared.Table:
     """Evaluate single functions on both devices; return how many of their results differ, by function."""
     ways = {"as it is": ("", ""), "no fused multiply-add": ("no_fma", "no_fma"), "all alike": ("no_fma", ALIKE)}
     files = {}
@@ -210,16 +206,10 @@ def recorded_columns(scenario: str) -> list[str]:
     return [*compose([f"scenario={scenario}"]).system.recordable_columns]
 
 
-def bit_equal(a: pd.DataFrame, b: pd.DataFrame) -> np.ndarray:
-    """Return which numbers (n, k) of two tables with equal columns are equal to the last bit; NaN equals NaN."""
-    return ((a == b) | (a.isna() & b.isna())).to_numpy()
-
-
 def compare_rows(a: Path, b: Path) -> tuple[int, int, int]:
     """Count bit-equal rows and equal outcomes of two folders, and all rows."""
     first, second = (store.read_rows(folder).set_index("point_id").sort_index() for folder in (a, b))
-    left_out = (*PLACEMENT_COLUMNS, *LABEL_COLUMNS, *TIMING_COLUMNS)
-    names = [c for c in first.columns if c not in left_out and "." not in c]
+    names = metric_columns(first)
     equal = bit_equal(first[names], second[names]).all(axis=1)
     return int(equal.sum()), int((first["outcome"] == second["outcome"]).sum()), len(first)
 
@@ -235,7 +225,7 @@ def first_differences(a: Path, b: Path) -> tuple[str, str, str]:
     first, second = (read_histories(folder).set_index(["point_id", "time_s"]).sort_index() for folder in (a, b))
     both = first.index.intersection(second.index)
     names = [c for c in first.columns if SAMPLE.match(c)]
-    differs = ~bit_equal(first.loc[both, names], second.loc[both, names])
+    differs = ~bit_equal(first.loc[both, names], second.loc[both, names]).to_numpy()
     place = pd.DataFrame(
         {"id": both.get_level_values(0), "time": both.get_level_values(1), "row": np.arange(len(both))}
     )
@@ -257,7 +247,7 @@ def wait_for(process: subprocess.Popen, scenario: str = "a function") -> str:
     return told
 
 
-def measure_scenario(scenario: str, folder: Path) -> dict[str, Table]:
+def measure_scenario(scenario: str, folder: Path) -> dict[str, shared.Table]:
     """Simulate a scenario in all ways; return lines of the tables of rows and of speeds."""
     started = [
         start_process(folder, device, way, "--simulate",
@@ -266,8 +256,8 @@ def measure_scenario(scenario: str, folder: Path) -> dict[str, Table]:
     ]  # fmt: skip
     for process in started:
         wait_for(process, scenario)
-    rows: Table = []
-    speed: Table = []
+    rows: shared.Table = []
+    speed: shared.Table = []
     for way, (on_cpu, on_gpu) in WAYS.items():
         a, b = folder / f"{scenario}-cpu-{on_cpu}", folder / f"{scenario}-gpu-{on_gpu}"
         equal, outcomes, every = compare_rows(a, b)
@@ -283,7 +273,7 @@ def measure_scenario(scenario: str, folder: Path) -> dict[str, Table]:
     return {"rows": rows, "speed": speed}
 
 
-def join_tables(every: shared.Scenarios) -> dict[str, Table]:
+def join_tables(every: shared.Scenarios) -> dict[str, shared.Table]:
     """Return the tables of all scenarios and of the functions, with their heads."""
     heads = {
         "rows": ["scenario", "way", "rows bit-equal", "outcomes equal", "rollouts that ever differ",

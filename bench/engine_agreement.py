@@ -5,7 +5,7 @@ cites: random draws of the quadruped of `sweep init --model`, simulated by C MuJ
 the built-in robot's walk, simulated by both of its engines.
 """
 
-import os
+import contextlib
 import tempfile
 import time
 from pathlib import Path
@@ -19,9 +19,7 @@ from sweep.report.engine_agreement import engine_figure
 from sweep.runs import engine_audit
 from sweep.runs.results import read_results
 
-Table = list[list[str]]  # columns, then rows
-
-FIGURE = shared.DATA.parent / "figures" / "engine_agreement.png"
+FIGURE = shared.FIGURES / "engine_agreement.png"
 STUDIES = {  # by what is simulated: file of the study, and engines
     "quadruped that trots": ("quad", """scenario: own
 study:
@@ -71,13 +69,11 @@ def main() -> None:
     """Compute and write the table and the picture."""
     start, table = time.perf_counter(), [["study", "engines", "all agree", "the others: outcomes on each"]]
     with tempfile.TemporaryDirectory() as folder:
-        os.chdir(folder)
-        run_command(["init", "--model", "project"])
-        os.chdir("project")
-        for what in STUDIES:
-            table.append(audit_study(what))
-            print(table[-1], flush=True)
-        os.chdir("/")
+        run_command(["init", "--model", f"{folder}/project"])
+        with contextlib.chdir(f"{folder}/project"):
+            for what in STUDIES:
+                table.append(audit_study(what))
+                print(table[-1], flush=True)
     shared.write_tables("engine_agreement", ("mjx", "native"), start, {"studies": table})
 
 

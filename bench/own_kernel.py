@@ -90,7 +90,7 @@ def make_learned() -> Robot:
     return Robot(model, {LOAD: (6.0, 10.0), GRIP: (0.5, 1.0)})
 
 
-def make_standing_state(text: str, load: tuple[float, float]) -> Robot:
+def make_joint_holding_robot(text: str, load: tuple[float, float]) -> Robot:
     """Write a robot and a controller that holds its joints at 0; return them."""
     Path("robot.xml").write_text(text, encoding="utf-8")
     lines = "import jax.numpy as jnp", "def policy(belief, observation, state, key):"
@@ -158,8 +158,10 @@ ROBOTS: dict[str, Callable[[], Robot]] = {
     "quadruped, friction of joints, elliptic cones": partial(make_quadruped, (RUB, CONE)),
     "quadruped, shanks that may touch one another": partial(make_quadruped, (TOUCH,)),
     f"quadruped, learned policy {'-'.join(map(str, LAYERS))}": make_learned,
-    "biped with waist, arms and box feet": lambda: make_standing_state(BIPED.read_text(encoding="utf-8"), (4.0, 6.0)),
-    "humanoid, four spheres a foot": lambda: make_standing_state(describe_humanoid(), (3.0, 5.0)),
+    "biped with waist, arms and box feet": lambda: make_joint_holding_robot(
+        BIPED.read_text(encoding="utf-8"), (4.0, 6.0)
+    ),
+    "humanoid, four spheres a foot": lambda: make_joint_holding_robot(describe_humanoid(), (3.0, 5.0)),
     "hexapod, exported, with its walk": make_hexapod,
 }
 

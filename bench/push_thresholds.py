@@ -6,7 +6,7 @@ many draws an island needs. A box that a push tips over has thresholds from mech
 the quadruped that `sweep init --model` writes.
 """
 
-import os
+import contextlib
 import tempfile
 import time
 from pathlib import Path
@@ -16,12 +16,11 @@ import pandas as pd
 import shared
 
 from sweep.analysis.push_map import PushRows, threshold_table
+from sweep.analysis.stats import format_percent
 from sweep.cli.main import main as run_command
 from sweep.core.plot_style import plot_style, save_figure
 from sweep.report.push_map import push_map_figure
 from sweep.runs.results import read_results
-
-Table = list[list[str]]  # columns, then rows
 
 SIZES, THRESHOLD, MAPS, DIRECTIONS = np.linspace(0, 16, 17), 8.3, 200, 12
 WIDTHS = (0.4, 1.2)  # of the logistic fall of the success rate
@@ -45,7 +44,7 @@ study:
     impulse: {path: push.kick.impulse, from: 1, to: 7, num: 61}
     direction: {path: push.kick.direction, from: 0, to: 4.71238898, num: 4}
 """
-FIGURE = shared.DATA.parent / "figures" / "push_thresholds.png"
+FIGURE = shared.FIGURES / "push_thresholds.png"
 
 
 def draw_map(rates: np.ndarray, draws: int, rng: np.random.Generator) -> PushRows:
@@ -56,7 +55,7 @@ def draw_map(rates: np.ndarray, draws: int, rng: np.random.Generator) -> PushRow
     return PushRows(pd.DataFrame({"direction": way}), SIZES[size], 0.0, success, np.arange(len(size)))
 
 
-def interval_table(rng: np.random.Generator) -> Table:
+def interval_table(rng: np.random.Generator) -> shared.Table:
     """Return how often intervals hold the threshold, how wide they are, and how often a map has a false island."""
     table = [["rate falls over", "draws of a size", "interval holds", "its median width", "maps with a false island"]]
     for width in WIDTHS:
@@ -67,11 +66,13 @@ def interval_table(rng: np.random.Generator) -> Table:
             inside = (every["low"] <= THRESHOLD) & (every["high"] >= THRESHOLD)
             false = np.mean([one["fails_at"].notna().any() for one in maps])
             span = (every["high"] - every["low"]).median()
-            table.append([f"{4 * width:g} sizes", f"{draws}", percent(inside.mean()), f"{span:g}", percent(false)])
+            table.append(
+                [f"{4 * width:g} sizes", f"{draws}", format_percent(inside.mean()), f"{span:g}", format_percent(false)]
+            )
     return table
 
 
-def island_table(rng: np.random.Generator) -> Table:
+def island_table(rng: np.random.Generator) -> shared.Table:
     """Return the share of directions in which an island of one size is found, by its success rate and by draws."""
     table = [["success rate of the island", *(f"{draws} draws of a size" for draws in DRAWS)]]
     for rate in ISLAND_RATES:
@@ -79,7 +80,7 @@ def island_table(rng: np.random.Generator) -> Table:
         found = []
         for draws in DRAWS:
             maps = pd.concat([threshold_table(draw_map(rates, draws, rng)) for _ in range(MAPS // 10)])
-            found.append(percent((maps["survives_at"] == ISLAND_AT).mean()))
+            found.append(format_percent((maps["survives_at"] == ISLAND_AT).mean()))
         table.append([f"{rate:g}", *found])
     return table
 
@@ -91,7 +92,7 @@ def tipping_impulse(half_base: float) -> float:
     return float(np.sqrt(2 * inertia * MASS * GRAVITY * (reach - HEIGHT)) / HEIGHT)
 
 
-def box_table() -> Table:
+def box_table() -> shared.Table:
     """Return impulses that tip a box over, simulated and from the energy that its centre needs to pass the edge."""
     for name, text in {"box.xml": BOX, "still.py": STILL, "study.yaml": STUDY, "sweep.yaml": "modules: []\n"}.items():
         Path(name).write_text(text)
@@ -109,27 +110,20 @@ def box_table() -> Table:
 def draw_quadruped() -> None:
     """Simulate the push map of the quadruped of `sweep init --model`, and draw it."""
     run_command(["init", "--model", "quad"])
-    os.chdir("quad")
-    run_command(["run", "study=push_map", "study.replays=0", "out=map"])
-    (figure,) = push_map_figure(read_results(Path("map")))
+    with contextlib.chdir("quad"):
+        run_command(["run", "study=push_map", "study.replays=0", "out=map"])
+        (figure,) = push_map_figure(read_results(Path("map")))
     with plot_style():
         save_figure(figure.draw(), FIGURE)
-
-
-def percent(share: float) -> str:
-    """Format a share as per cent."""
-    return f"{100 * share:.1f} %"
 
 
 def main() -> None:
     """Compute and write the tables and the picture."""
     rng, start = np.random.default_rng(0), time.perf_counter()
     tables = {"intervals": interval_table(rng), "islands": island_table(rng)}
-    with tempfile.TemporaryDirectory() as folder:
-        os.chdir(folder)
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
         tables["box"] = box_table()
         draw_quadruped()
-        os.chdir("/")
     shared.write_tables("push_thresholds", ("native",), start, tables)
 
 

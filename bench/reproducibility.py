@@ -16,10 +16,11 @@ import tempfile
 import time
 from pathlib import Path
 
+import pandas as pd
 import shared
 
 from sweep.runs import store
-from sweep.study.columns import LABEL_COLUMNS, PLACEMENT_COLUMNS, TIMING_COLUMNS
+from sweep.study.columns import metric_columns
 
 STUDY = [
     "study=walk_map",
@@ -50,11 +51,16 @@ def start_study(out: Path, settings: list[str], environment: dict[str, str], cor
     return subprocess.Popen([*pinned, *command], env=os.environ | environment, stdout=subprocess.DEVNULL)
 
 
+def bit_equal(a: pd.DataFrame, b: pd.DataFrame) -> pd.DataFrame:
+    """Return which numbers of two tables with equal columns are equal to the last bit; NaN equals NaN."""
+    return (a == b) | (a.isna() & b.isna())
+
+
 def compare_folders(way: str, base: Path, other: Path) -> Line:
     """Return a line: bit-equal rows and metrics, equal outcomes, and whether `run_id` is equal."""
     a, b = (store.read_rows(path).set_index("point_id").sort_index() for path in (base, other))
-    names = [c for c in a.columns if c not in (*PLACEMENT_COLUMNS, *LABEL_COLUMNS, *TIMING_COLUMNS) and "." not in c]
-    equal = (a[names] == b[names]) | (a[names].isna() & b[names].isna())
+    names = metric_columns(a)
+    equal = bit_equal(a[names], b[names])
     same = "the same" if set(a["run_id"]) == set(b["run_id"]) else "another"
     outcomes = f"{(a['outcome'] == b['outcome']).sum()} of {len(a)}"
     return way, f"{equal.all(axis=1).sum()} of {len(a)}", f"{equal.all().sum()} of {len(names)}", outcomes, same
