@@ -1,4 +1,4 @@
-"""Pairs of geoms that MuJoCo's filters let touch."""
+"""Pairs of geoms that may touch, by MuJoCo's filters or as explicit pairs of a model."""
 
 import mujoco
 import numpy as np
@@ -17,9 +17,9 @@ def may_touch(model: mujoco.MjModel, one: int | np.ndarray, other: int | np.ndar
 
 
 def find_geom_pairs(model: mujoco.MjModel) -> np.ndarray:
-    """Return the pairs (k, 2) of geoms that may touch, of bodies that are neither welded together nor excluded.
+    """Return the pairs (k, 2) of geoms that may touch: those that pass MuJoCo's filters, then the explicit pairs.
 
-    Explicit pairs of the model are left out.
+    Filters leave out geoms of bodies that are welded together or excluded. Explicit pairs that pass them come twice.
     """
     one, other = np.triu_indices(model.ngeom, 1)
     bodies = model.geom_bodyid[one], model.geom_bodyid[other]
@@ -31,4 +31,6 @@ def find_geom_pairs(model: mujoco.MjModel) -> np.ndarray:
         may &= ~(is_parent & (welds[0] != 0) & (welds[1] != 0))
     low, high = np.minimum(*bodies), np.maximum(*bodies)
     may &= ~np.isin((low << 16) + high, model.exclude_signature)
-    return np.stack([one[may], other[may]], axis=1)
+    filtered = np.stack([one[may], other[may]], axis=1)
+    explicit = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
+    return np.concatenate([filtered, explicit])

@@ -107,7 +107,7 @@ class MjxModelEngine(ModelEngine):
         if warp and settings.precision != "float32":
             raise InputError(f"engine.precision = {settings.precision} is not allowed: warp computes in float32")
         super().__init__(spec, settings)
-        pairs, geoms = count_geom_pairs(self._model), self._model.ngeom
+        pairs, geoms = len(find_geom_pairs(self._model)), self._model.ngeom
         size = f"{self._model.nv} degrees of freedom, {pairs} pairs of {geoms} geoms that may touch"
         self._about = f"{spec.config.mjcf} ({size})"
         self._limited = [] if warp else find_capped_contact_dims(self._model)
@@ -529,11 +529,6 @@ def custom_numeric(model: mujoco.MjModel, name: str) -> np.ndarray | None:
     """Return a custom numeric of a MuJoCo model by name, as a writable view; None if it has none."""
     number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)
     return None if number < 0 else model.numeric_data[model.numeric_adr[number] :][:1]
-
-
-def count_geom_pairs(model: mujoco.MjModel) -> int:
-    """Return the number of geom pairs that may touch: explicit pairs, and those that MuJoCo's filters let through."""
-    return len(find_geom_pairs(model)) + model.npair
 
 
 def find_capped_contact_dims(model: mujoco.MjModel) -> list[int]:

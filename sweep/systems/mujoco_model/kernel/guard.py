@@ -64,9 +64,7 @@ def find_unsimulated_geom_pairs(layout: RobotLayout, model: mujoco.MjModel) -> l
     for one in (*layout.planes, *layout.static_geoms):
         shapes = GROUND_SHAPES[int(model.geom_type[one.geom])]
         simulated |= {frozenset((one.geom, int(g))) for g in np.flatnonzero(np.isin(model.geom_type, shapes))}
-    explicit = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
-    pairs = np.concatenate([find_geom_pairs(model), explicit]).tolist()
-    return [(a, b) for a, b in pairs if frozenset((a, b)) not in simulated]
+    return [(a, b) for a, b in find_geom_pairs(model).tolist() if frozenset((a, b)) not in simulated]
 
 
 def enclose_geom(layout: RobotLayout, model: mujoco.MjModel, geom: int) -> EnclosingHull:

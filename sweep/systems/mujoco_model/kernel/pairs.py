@@ -20,7 +20,6 @@ from sweep.systems.mujoco_model.kernel.layout import (
     CAPSULE,
     SPHERE,
     RobotLayout,
-    find_contact_pair_ids,
     find_stack_of_body,
 )
 from sweep.systems.mujoco_model.kernel.numbers import ModelFieldValues
@@ -82,8 +81,7 @@ def find_simulated_pairs(layout: RobotLayout, model: mujoco.MjModel) -> list[tup
 
     They are those of spheres and capsules; none if they cost too much together, see `count_operations`.
     """
-    explicit = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
-    pairs = np.unique(np.sort(np.concatenate([find_geom_pairs(model), explicit]), axis=1), axis=0)
+    pairs = np.unique(np.sort(find_geom_pairs(model), axis=1), axis=0)
     is_simulated = np.isin(model.geom_type[pairs], (SPHERE, CAPSULE)).all(axis=1)
     is_simulated &= (model.body_weldid[model.geom_bodyid[pairs]] != 0).all(axis=1)
     found = [tuple(sorted(map(int, one), key=lambda g: (model.geom_type[g], g))) for one in pairs[is_simulated]]
@@ -118,9 +116,7 @@ def describe_law_form(model: mujoco.MjModel, a: int, b: int) -> tuple:
         a: Id of the first geom.
         b: Id of the second geom.
     """
-    both = np.array([a]), np.array([b])
-    _, winner, dim = describe_contact_law(model, *both)
-    pairs = find_contact_pair_ids(model, *both)
+    pairs, winner, dim = describe_contact_law(model, np.array([a]), np.array([b]))
     if pairs is not None:
         return dim, *model.pair_solref[pairs[0]].tolist(), *model.pair_solimp[pairs[0]].tolist()
     fields = model.geom_solmix, model.geom_solref, model.geom_solimp
