@@ -257,6 +257,23 @@ export function equalCellScale(cells, room) {
 /** @typedef {{ left: number, top: number, width: number, height: number }} Box */
 
 /**
+ * Box of a chart on its canvas, inside the margins.
+ * @type {(canvas: HTMLCanvasElement, margin: { left: number, right: number, top: number, bottom: number }) => Box}
+ */
+export function chartBox({ clientWidth, clientHeight }, { left, right, top, bottom }) {
+  const [width, height] = [clientWidth - left - right, clientHeight - top - bottom];
+  return { left, top, width: Math.max(10, width), height: Math.max(10, height) };
+}
+
+/**
+ * Point of a box at shares of its axes, in CSS pixels.
+ * @type {(box: Box, across: number, up: number) => [number, number]}
+ */
+export function pointInBox({ left, top, width, height }, across, up) {
+  return [left + across * width, top + (1 - up) * height];
+}
+
+/**
  * Draw the frame of a chart: ticks with numbers along the lower and the left side, and the axes' titles.
  * @type {(sheet: Sheet, theme: Theme, box: Box, x: Titled, y: Titled) => void}
  */

@@ -166,7 +166,7 @@ import { clamp } from "./numbers.js";
  * @property {Curve[]} curves parameters that vary alone; empty for other studies
  * @property {Record<string, number> | null} effects Sobol indices of a refined map, by column
  * @property {string[]} start
- * @property {SidesFormat | null} [sides] of a page that compares two studies
+ * @property {SidesFormat | null} [sides] of a page that compares studies or policies
  * @property {Theory[]} theory
  * @property {Mesh | null} refined_cells
  * @property {Binned[]} densities
@@ -214,7 +214,7 @@ import { clamp } from "./numbers.js";
  * @property {Int32Array | null} mesh rows at the corners of cells, four a cell
  * @property {AloneAxis[]} alone parameters that vary alone
  * @property {Map<number, number>} replayed replays by row
- * @property {Sides | null} sides of a page that compares two studies
+ * @property {Sides | null} sides of a page that compares studies or policies
  */
 
 const MISSING = 65535;

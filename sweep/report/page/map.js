@@ -1,5 +1,5 @@
 // The map: every rollout over two columns, as cells or marks; hover, brush, keyboard.
-import { axisTitle, drawFrame, wholeCells } from "./axes.js";
+import { axisTitle, chartBox, drawFrame, wholeCells } from "./axes.js";
 import { makeScaleChoice } from "./scale_choice.js";
 import { placeRows } from "./cells.js";
 import { clipName, inflate, readCounts, sortedValues } from "./data.js";
@@ -24,16 +24,18 @@ import {
   paintMarks,
   RATE,
   colourRange,
+  rowAtPoint,
   rowPosition,
 } from "./map_fill.js";
 import { MAX_VECTORS, isVectorPen } from "./marks.js";
 import { clamp, formatCount, packRgb, scaleColour, formatShort } from "./numbers.js";
-import { GLYPH_SIZE, rowNear, makePixels } from "./raster.js";
+import { GLYPH_SIZE, makePixels } from "./raster.js";
 import {
   drawAnalyticLimits,
   drawCertifiedRegion,
   drawContour,
   drawOutlines,
+  drawPointedRows,
   drawRing,
   drawZeroMargin,
   regionLines,
@@ -85,11 +87,7 @@ export function mapView(app) {
   const counted = new Map();
 
   const columns = () => selects.slice(0, 2).map((select) => table.named.get(select.value) ?? table.columns[0]);
-  const box = () => {
-    const width = Math.max(10, base.clientWidth - MARGIN.left - MARGIN.right);
-    const height = Math.max(10, base.clientHeight - MARGIN.top - MARGIN.bottom);
-    return { left: MARGIN.left, top: MARGIN.top, width, height };
-  };
+  const box = () => chartBox(base, MARGIN);
 
   const lay = () => {
     const [x, y] = columns();
@@ -262,28 +260,10 @@ export function mapView(app) {
         (high - low) * area.height,
       );
     }
-    for (const [row, size] of /** @type {[number, number][]} */ ([
-      [state.chosen, 8],
-      [state.cursor, 6],
-    ])) {
-      const k = row < 0 ? -1 : here.rows.indexOf(row);
-      if (k < 0) continue;
-      drawRing(app, pen, rowPosition(here, k, area), size, app.theme().accent, [4, 2]);
-    }
+    drawPointedRows(app, pen, here, area);
   };
 
-  /**
-   * Row at a place, -1 for none.
-   * @type {(x: number, y: number) => number}
-   */
-  const rowAt = (x, y) => {
-    if (!pixels) return -1;
-    const area = box();
-    const ratio = pixels.width / area.width;
-    if (x < area.left || x > area.left + area.width || y < area.top || y > area.top + area.height) return -1;
-    const reach = ratio * (places?.form === "marks" ? 6 : 1); // bridges the lines between cells
-    return rowNear(pixels, (x - area.left) * ratio, (y - area.top) * ratio, reach);
-  };
+  const rowAt = (/** @type {number} */ x, /** @type {number} */ y) => rowAtPoint(pixels, places, box(), [x, y]);
 
   /** @param {number} row */
   const show = (row) => {

@@ -1,8 +1,9 @@
 // Filling of a map: cells, marks or densities, in the colours of kinds, rates or metrics.
+import { pointInBox } from "./axes.js";
 import { arcsinh, clamp, mixColours, packRgb, scaleColour } from "./numbers.js";
 import { cssColour } from "./dom.js";
 import { fillKindCell, fillMark } from "./marks.js";
-import { fillCell, makeGlyph, paintKind, drawStamp, makeStamp } from "./raster.js";
+import { fillCell, makeGlyph, paintKind, drawStamp, makeStamp, rowNear } from "./raster.js";
 
 /** @import { Box } from "./axes.js" */
 /** @import { PlacedRows } from "./cells.js" */
@@ -25,7 +26,18 @@ const FADED_SHARE = 0.86; // by which rows that do not pass the filters fade
 export function rowPosition(here, k, area) {
   const [left, low, right, high] = here.boxes.subarray(4 * k, 4 * k + 4);
   const [x, y] = here.form === "cells" ? [(left + right) / 2, (low + high) / 2] : [left, low];
-  return [area.left + x * area.width, area.top + (1 - y) * area.height];
+  return pointInBox(area, x, y);
+}
+
+/**
+ * Row that a painted map shows at a point in CSS pixels, -1 for none.
+ * @type {(pixels: Pixels | null, here: PlacedRows | null, area: Box, point: [number, number]) => number}
+ */
+export function rowAtPoint(pixels, here, { left, top, width, height }, [x, y]) {
+  if (!pixels || x < left || x > left + width || y < top || y > top + height) return -1;
+  const ratio = pixels.width / width;
+  const reach = ratio * (here?.form === "marks" ? 6 : 1); // bridges the lines between cells
+  return rowNear(pixels, (x - left) * ratio, (y - top) * ratio, reach);
 }
 
 /**
@@ -205,7 +217,7 @@ export function drawVectorMarks(app, pen, here, by, area) {
   const looks = app.looks();
   const radius = markSize(here);
   forEachMark(app, here, by, ({ kind, across, up, passes, rgb, opacity }) => {
-    const [x, y] = [area.left + across * area.width, area.top + (1 - up) * area.height];
+    const [x, y] = pointInBox(area, across, up);
     const { shape } = looks[kind];
     if (passes && radius > HALO_RADIUS) fillMark(pen, shape, x, y, radius + 1, paper, HALO_OPACITY);
     fillMark(pen, shape, x, y, radius, rgb, opacity);

@@ -1,7 +1,9 @@
 // Overlays of the map: outlines, analytic limits, the line of zero margin, rings.
+import { pointInBox } from "./axes.js";
 import { zeroLines } from "./contour.js";
 import { clipName } from "./data.js";
 import { cssColour, drawLine } from "./dom.js";
+import { rowPosition } from "./map_fill.js";
 import { clamp } from "./numbers.js";
 
 /** @import { Box } from "./axes.js" */
@@ -60,13 +62,25 @@ export function drawZeroMargin(app, pen, x, y, here, area) {
 export function drawContour(app, pen, here, column, area) {
   const lines = zeroLines(here, (row) => column.values[row]);
   pen.lineCap = "round";
-  drawOutlinedLine(app, pen, app.theme().ink, [4, 1.8], () => {
+  drawSegments(app, pen, lines, area, [4, 1.8]);
+  pen.lineCap = "butt";
+}
+
+/**
+ * Draw straight lines that stand out from any background.
+ * @param {App} app
+ * @param {CanvasRenderingContext2D} pen
+ * @param {ArrayLike<number>} lines from x, from y, to x, to y of each in turn, as shares of the axes
+ * @param {Box} area
+ * @param {[number, number]} widths of their outline, and of the lines themselves
+ */
+export function drawSegments(app, pen, lines, area, widths) {
+  drawOutlinedLine(app, pen, app.theme().ink, widths, () => {
     for (let k = 0; k < lines.length; k += 4) {
-      pen.moveTo(area.left + lines[k] * area.width, area.top + (1 - lines[k + 1]) * area.height);
-      pen.lineTo(area.left + lines[k + 2] * area.width, area.top + (1 - lines[k + 3]) * area.height);
+      pen.moveTo(...pointInBox(area, lines[k], lines[k + 1]));
+      pen.lineTo(...pointInBox(area, lines[k + 2], lines[k + 3]));
     }
   });
-  pen.lineCap = "butt";
 }
 
 /**
@@ -87,16 +101,13 @@ export function regionLines({ outlines }, x, y) {
  * Draw the outline of the certified region.
  * @type {(app: App, pen: CanvasRenderingContext2D, x: Column, y: Column, here: PlacedRows, area: Box) => void}
  */
-export function drawCertifiedRegion(app, pen, x, y, here, { left, top, width, height }) {
+export function drawCertifiedRegion(app, pen, x, y, here, area) {
   const { region } = app.table.about;
   if (!region) return;
   drawOutlinedLine(app, pen, app.theme().ink, [5, 2.4], () => {
     for (const line of regionLines(region, x.key, y.key))
       line.forEach(([u, v], k) => {
-        const spot = /** @type {const} */ ([
-          left + clamp(here.x.to(u), 0, 1) * width,
-          top + (1 - clamp(here.y.to(v), 0, 1)) * height,
-        ]);
+        const spot = pointInBox(area, clamp(here.x.to(u), 0, 1), clamp(here.y.to(v), 0, 1));
         if (k) pen.lineTo(...spot);
         else pen.moveTo(...spot);
       });
@@ -131,7 +142,7 @@ export function drawAnalyticLimits(app, pen, x, y, here, area) {
       const limit = curve.limit[k];
       if (along === null || limit === null) return [];
       const [u, v] = curve.of === x.key ? [limit, along] : [along, limit];
-      return [[area.left + here.x.to(u) * area.width, area.top + (1 - here.y.to(v)) * area.height]];
+      return [pointInBox(area, here.x.to(u), here.y.to(v))];
     });
     pen.setLineDash(DASHES[number % DASHES.length]);
     drawOutlinedLine(app, pen, app.theme().ink, [5, 2], () => spots.forEach(([u, v]) => pen.lineTo(u, v)));
@@ -160,6 +171,21 @@ export function drawAnalyticLimits(app, pen, x, y, here, area) {
     pen.fillText(name, free.left, free.up);
   });
   pen.restore();
+}
+
+/**
+ * Draw rings around the chosen row and the one under the pointer.
+ * @type {(app: App, pen: CanvasRenderingContext2D, here: PlacedRows, area: Box) => void}
+ */
+export function drawPointedRows(app, pen, here, area) {
+  const { chosen, cursor } = app.state;
+  for (const [row, size] of [
+    [chosen, 8],
+    [cursor, 6],
+  ]) {
+    const k = row < 0 ? -1 : here.rows.indexOf(row);
+    if (k >= 0) drawRing(app, pen, rowPosition(here, k, area), size, app.theme().accent, [4, 2]);
+  }
 }
 
 /**

@@ -1,16 +1,15 @@
 // Maps of the same points for two studies, or for several policies, beside each other.
-import { axisTitle, drawFrame } from "./axes.js";
+import { axisTitle, chartBox, drawFrame } from "./axes.js";
 import { placeRows } from "./cells.js";
 import { drawKindBox } from "./charts.js";
 import { clipName } from "./data.js";
 import { byId, element, kindStyle, placeTip, pointerPosition, prepareCanvas, shortenToFit } from "./dom.js";
-import { KIND, markSize, paintCells, paintMarks, rowPosition } from "./map_fill.js";
-import { drawOutlinedLine, drawRing } from "./map_overlays.js";
+import { KIND, markSize, paintCells, paintMarks, rowAtPoint, rowPosition } from "./map_fill.js";
+import { drawPointedRows, drawSegments } from "./map_overlays.js";
 import { formatCount, packRgb } from "./numbers.js";
-import { makePixels, rowNear } from "./raster.js";
+import { makePixels } from "./raster.js";
 import { isInSlice } from "./selection.js";
 
-/** @import { Box } from "./axes.js" */
 /** @import { PlacedRows } from "./cells.js" */
 /** @import { Kind, Sides, Table } from "./data.js" */
 /** @import { App, View } from "./main.js" */
@@ -20,7 +19,7 @@ const SIDE_MARGIN = { left: 56, right: 10, top: 26, bottom: 46 };
 const FLIP_WIDTHS = /** @type {[number, number]} */ ([3.4, 1.5]); // of the outline around flips, and of its line
 
 /**
- * One of the two maps.
+ * One of the maps.
  * @typedef {object} SideMap
  * @property {App} own the page, with the outcomes of this side as kinds
  * @property {string} title
@@ -41,6 +40,7 @@ export function sidesView(app, sides) {
   const maps = sides.kinds.map((kind, side) => makeMap(kind, sideTitle(table, sides, side), flippedRows(sides, side)));
   const tip = element("div", { class: "tip", hidden: "" });
   root.replaceChildren(...maps.map(({ plot }) => plot), tip);
+  const swatches = makeKey(sides);
 
   /** @type {(kind: Uint8Array, title: string, flips: Uint8Array) => SideMap} */
   function makeMap(kind, title, flips) {
@@ -65,13 +65,7 @@ export function sidesView(app, sides) {
     return map;
   }
 
-  /** @type {(map: SideMap) => Box} */
-  const boxOf = ({ base }) => ({
-    left: SIDE_MARGIN.left,
-    top: SIDE_MARGIN.top,
-    width: Math.max(10, base.clientWidth - SIDE_MARGIN.left - SIDE_MARGIN.right),
-    height: Math.max(10, base.clientHeight - SIDE_MARGIN.top - SIDE_MARGIN.bottom),
-  });
+  const boxOf = (/** @type {SideMap} */ { base }) => chartBox(base, SIDE_MARGIN);
 
   const columns = () =>
     ["map-x", "map-y"].map((id) => {
@@ -103,13 +97,7 @@ export function sidesView(app, sides) {
       pen.putImageData(pixels.image, Math.round(area.left * ratio), Math.round(area.top * ratio));
       const shown = (/** @type {number} */ row) => map.flips[row] > 0 && state.mask[row] > 0;
       if (here.form === "cells") {
-        const edges = boundaryEdges(here, shown);
-        drawOutlinedLine(app, pen, app.theme().ink, FLIP_WIDTHS, () => {
-          for (const [a, b, c, d] of edges) {
-            pen.moveTo(area.left + a * area.width, area.top + (1 - b) * area.height);
-            pen.lineTo(area.left + c * area.width, area.top + (1 - d) * area.height);
-          }
-        });
+        drawSegments(app, pen, boundaryEdges(here, shown), area, FLIP_WIDTHS);
       } else {
         [pen.strokeStyle, pen.lineWidth] = [app.theme().ink, 0.9];
         here.rows.forEach((row, k) => {
@@ -137,58 +125,22 @@ export function sidesView(app, sides) {
     point();
   };
 
-  /** What the colours mean, with the number of rollouts of A and B for each. */
-  const drawKey = () => {
-    const entries = sides.styles.map((style, k) => {
-      const few = sides.names.length === 2;
-      const swatch = element("canvas", { class: "swatch", "aria-hidden": "true" });
-      const counts = sides.kinds.map((kind) => kind.reduce((sum, one) => sum + Number(one === k), 0));
-      const numbers = counts.map((count, side) => `${sides.names[side]} ${formatCount(count)}`).join(", ");
-      return {
-        swatch,
-        k,
-        entry: element(
-          "span",
-          { title: style.meaning },
-          swatch,
-          ` ${clipName(style.label)}${few ? `: ${numbers}` : ""}`,
-        ),
-      };
-    });
-    byId("sides-key").replaceChildren(...entries.map(({ entry }) => entry));
-    for (const { swatch, k } of entries) {
+  const drawKey = () =>
+    swatches.forEach((swatch, k) => {
       const sheet = prepareCanvas(swatch);
       drawKindBox(sheet.pen, 0, 0, sheet.width, sheet.height, maps[0].own.looks()[k], sheet.ratio);
-    }
-  };
+    });
 
-  /** The row under the pointer, and the chosen one, on both maps. */
+  /** The row under the pointer, and the chosen one, on all maps. */
   const point = () => {
     for (const map of maps) {
       const { pen } = prepareCanvas(map.over);
-      if (!places) continue;
-      for (const [row, size] of [
-        [state.chosen, 8],
-        [state.cursor, 6],
-      ]) {
-        const k = row < 0 ? -1 : places.rows.indexOf(row);
-        if (k >= 0) drawRing(app, pen, rowPosition(places, k, boxOf(map)), size, app.theme().accent, [4, 2]);
-      }
+      if (places) drawPointedRows(app, pen, places, boxOf(map));
     }
   };
 
-  /**
-   * Row at a place of a map, -1 for none.
-   * @type {(map: SideMap, at: [number, number]) => number}
-   */
-  const rowAt = (map, [x, y]) => {
-    const { pixels } = map;
-    const area = boxOf(map);
-    if (!pixels || x < area.left || x > area.left + area.width || y < area.top || y > area.top + area.height) return -1;
-    const ratio = pixels.width / area.width;
-    const reach = ratio * (places?.form === "marks" ? 6 : 1); // bridges the lines between cells
-    return rowNear(pixels, (x - area.left) * ratio, (y - area.top) * ratio, reach);
-  };
+  /** @type {(map: SideMap, at: [number, number]) => number} */
+  const rowAt = (map, at) => rowAtPoint(map.pixels, places, boxOf(map), at);
 
   /** @type {(map: SideMap, row: number) => void} */
   const show = (map, row) => {
@@ -233,12 +185,27 @@ function sideTitle({ about }, sides, side) {
 }
 
 /**
+ * Write what the colours mean below the maps, for two sides with the number of rollouts of each.
+ * @type {(sides: Sides) => HTMLCanvasElement[]} canvas for the colour of each kind
+ */
+function makeKey({ styles, names, kinds }) {
+  const swatches = styles.map(() => element("canvas", { class: "swatch", "aria-hidden": "true" }));
+  const entries = styles.map(({ label, meaning }, k) => {
+    const count = (/** @type {number} */ side) => formatCount(kinds[side].filter((kind) => kind === k).length);
+    const numbers = names.length === 2 ? `: ${names.map((name, side) => `${name} ${count(side)}`).join(", ")}` : "";
+    return element("span", { title: meaning }, swatches[k], ` ${clipName(label)}${numbers}`);
+  });
+  byId("sides-key").replaceChildren(...entries);
+  return swatches;
+}
+
+/**
  * Edges of the boxes of some rows that no other such box shares: the outline of their union on a grid.
  * @param {PlacedRows} here
  * @param {(row: number) => boolean} chosen
- * @returns {number[][]} from x, from y, to x, to y, as shares of the axes
+ * @returns {number[]} from x, from y, to x, to y of each in turn, as shares of the axes
  */
-export function boundaryEdges(here, chosen) {
+function boundaryEdges(here, chosen) {
   /** @type {Map<string, number[]>} */
   const edges = new Map();
   const toggle = (/** @type {number[]} */ ...edge) => {
@@ -253,5 +220,5 @@ export function boundaryEdges(here, chosen) {
     toggle(left, low, left, high);
     toggle(right, low, right, high);
   });
-  return [...edges.values()];
+  return [...edges.values()].flat();
 }
