@@ -105,7 +105,7 @@ class Kernel:
         if name == "shfl":
             return f"m.shuffled({self._read(args[1], 'b32')}, {self._read(args[2], 's32')})"
         if name == "vote":
-            return f"m.every({self._read(args[1], 'pred')})"
+            return f"m.{'some' if 'any' in kinds else 'every'}({self._read(args[1], 'pred')})"
         if name == "mov" and args[1] in ("%tid.x", "%ctaid.x"):
             return f"m.{args[1][1:-2]}"
         if name == "mov" and args[1] in self.tables:
@@ -113,6 +113,9 @@ class Kernel:
         if name == "shf":
             a, b, by = (f"np.uint64(1) * {self._read(x, 'u32')}" for x in args[1:4])
             return f"((({b} << np.uint64(32)) | {a}) << ({by} & np.uint64(31)) >> np.uint64(32)).astype(np.uint32)"
+        if name == "bfe":
+            a, first, count = (self._read(x, "u32") for x in args[1:4])
+            return f"(({a} >> {first}) & ((np.uint32(1) << {count}) - np.uint32(1)))"
         a, *more = (self._read(x, kind) for x in args[1:])
         if name == "fma":
             return f"np.float32(np.float64({a}) * {more[0]} + {more[1]}).view(np.uint32)"
@@ -196,6 +199,10 @@ class Memory:
     def every(self, test: Any) -> bool:
         """Whether it holds in all lanes of the warp."""
         return bool(np.all(test))
+
+    def some(self, test: Any) -> bool:
+        """Whether it holds in a lane of the warp."""
+        return bool(np.any(test))
 
 
 def call(code: Any, operands: Any) -> list[Any]:
