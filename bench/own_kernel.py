@@ -29,6 +29,7 @@ import yaml
 
 from sweep.backends import devices
 from sweep.cli.main import main as sweep
+from sweep.contract.engine import Metrics
 from sweep.core import provenance
 from sweep.core.files import write_atomically
 from sweep.systems.mujoco_model import build_nominal_system, kernel_engine
@@ -201,14 +202,14 @@ def measure_launches(engine: Any, world: ParameterOverrides, n: int) -> tuple[fl
     return n * CHUNK * engine._substeps / walls[1], walls[0]
 
 
-def measure_rollouts(engine: Any, world: ParameterOverrides, n: int) -> tuple[float, float]:
-    """Return physics steps a second of whole rollouts simulated again, and the seconds of the first time."""
-    walls = []
+def measure_rollouts(engine: Any, world: ParameterOverrides, n: int) -> tuple[float, float, Metrics]:
+    """Return physics steps a second of whole rollouts simulated again, the seconds of the first time, and metrics."""
+    walls, found = [], {}
     for _ in range(2):
         begin = time.perf_counter()
-        engine.run(world, ParameterOverrides(), np.arange(n))
+        found = engine.run(world, ParameterOverrides(), np.arange(n))
         walls.append(time.perf_counter() - begin)
-    return n * round(1.0 / engine._model.opt.timestep) / walls[1], walls[0]
+    return n * round(1.0 / engine._model.opt.timestep) / walls[1], walls[0], found
 
 
 def list_rows() -> dict[str, tuple[str, Callable[[], Robot]]]:
@@ -228,24 +229,26 @@ def measure_row(engine_name: str, make: Callable[[], Robot], width: int, again: 
 
 
 def measure_robot(engine_name: str, robot: Robot, width: int, again: int) -> list[str]:
-    """Return the cells of a robot's line after its name."""
+    """Return the cells of a robot's row after its name. `native` simulates `again` of its rollouts."""
     is_kernel = engine_name == "kernel"
     n = width if is_kernel else OTHERS[engine_name]
-    engine = make_engine(engine_name, robot, n)
-    measure = measure_launches if is_kernel else measure_rollouts
-    speed, first = measure(engine, vary_robot(robot, n), n)
-    few, streams = vary_robot(robot, again), np.arange(again)
-    here, there = (
-        make_engine(one, robot, again).run(few, ParameterOverrides(), streams) for one in (engine_name, "native")
-    )
-    apart = 1e3 * np.abs(np.asarray(here["travelled_m"]) - np.asarray(there["travelled_m"]))
+    engine, world = make_engine(engine_name, robot, n), vary_robot(robot, n)
+    if is_kernel:
+        speed, first = measure_launches(engine, world, n)
+        found = engine.run(world, ParameterOverrides(), np.arange(n))  # by the same program
+    else:
+        speed, first, found = measure_rollouts(engine, world, n)
+    some = np.linspace(0, n - 1, again).astype(int)
+    few = ParameterOverrides(tuple((path, values[some]) for path, values in world.values))
+    native = make_engine("native", robot, again).run(few, ParameterOverrides(), some)
+    apart = 1e3 * np.abs(np.asarray(found["travelled_m"])[some] - np.asarray(native["travelled_m"]))
     return [
         str(engine._model.njnt - 1),
         f"{engine.c_mujoco_agreement.largest:.0e}" if is_kernel else "",
         f"{speed / 1e6:.0f}" if speed > 1e7 else f"{speed / 1e6:.2f}",
         f"{first:.1f}",
         f"{np.median(apart):.1g}, {np.quantile(apart, 0.9):.1g}",
-        f"{int(here['on_native'].sum())} of {again}" if is_kernel else "",
+        f"{int(np.sum(found['on_native']))} of {n}" if is_kernel else "",
     ]
 
 
@@ -258,6 +261,7 @@ def main(width: str = "0", again: str = "256", *words: str) -> None:
     before = json.loads(DATA.read_text(encoding="utf-8")) if DATA.is_file() else {}
     is_same = all(before.get(key) == value for key, value in about.items())
     done = {line[0]: line[1:] for line in before["tables"]["robots"][1:]} if is_same else {}
+    kernel_engine.TICKS_PER_CALL = CHUNK  # of whole rollouts as well: a large kernel takes a minute to compile
     rows = list_rows()
     chosen = [name for name in rows if not words or any(word in name for word in words)]
     with tempfile.TemporaryDirectory() as place:
