@@ -8,7 +8,7 @@ research/data/own_kernel.json: physics steps a second, with controllers and metr
 and metrics beside those of `native` of AGAIN rollouts.
 
 With words it measures the rows whose names contain one of them, such as `humanoid` or `mjx`. Rows that the same code
-measured before on the same machine stay in the table, and those that it lacks come first.
+measured before on the same machine stay in the table, and those that it lacks come first, in the order of the words.
 """
 
 import contextlib
@@ -263,7 +263,7 @@ def main(width: str = "0", again: str = "256", *words: str) -> None:
     done = {line[0]: line[1:] for line in before["tables"]["robots"][1:]} if is_same else {}
     kernel_engine.TICKS_PER_CALL = CHUNK  # of whole rollouts as well: a large kernel takes a minute to compile
     rows = list_rows()
-    chosen = [name for name in rows if not words or any(word in name for word in words)]
+    chosen = list(dict.fromkeys(name for word in words or [""] for name in rows if word in name))
     with tempfile.TemporaryDirectory() as place:
         sweep(["init", "--model", f"{place}/quad"])
         with contextlib.chdir(f"{place}/quad"):
