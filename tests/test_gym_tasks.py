@@ -78,7 +78,7 @@ def test_the_reward_of_a_task_is_that_of_its_environment(tmp_path, monkeypatch, 
 @pytest.mark.parametrize(("words", "line"), [
     (["--gym", "Ant"], "--gym Ant is unknown: did you mean Ant-v5?"),
     (["--gym", "Ant-v5", "--model"], "--gym is not allowed with --mjcf or --model"),
-    (["--gym", "Ant-v5", "--policy", "none.onnx"], "--policy none.onnx is not allowed"),
+    (["--gym", "Ant-v5", "--policy", "none.onnx"], "--policy none.onnx is not a file"),
     (["--gym", "Ant-v5", "--policy", "odd.onnx"],
      "odd.onnx is not allowed: it takes 30 numbers; the task observes 105, or 27 without cfrc_ext"),
 ])  # fmt: skip

@@ -119,7 +119,9 @@ def project_files(task: str, policy: Path | None) -> dict[str, bytes]:
         InputError: gymnasium is not installed, the task is not supported, or the policy is no network.
     """
     require_choice(task, TASKS, f"--gym {task}")
-    if policy and (not policy.is_file() or policy.suffix not in files.NETWORK_SUFFIXES):
+    if policy and not policy.is_file():
+        raise InputError(f"--policy {policy} is not a file")
+    if policy and policy.suffix not in files.NETWORK_SUFFIXES:
         raise InputError(f"--policy {policy} is not allowed: a network in a file {', '.join(files.NETWORK_SUFFIXES)}")
     try:
         import gymnasium

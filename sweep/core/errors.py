@@ -7,6 +7,8 @@ from collections.abc import Iterable
 CONTROL_CHARACTER_RANGES = r"\x00-\x08\x0b-\x1f\x7f-\x84\x86-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069"
 CONTROL_CHARACTERS = re.compile(rf"[{CONTROL_CHARACTER_RANGES}\t\n\x85]")
 
+MAX_LISTED_NAMES = 40  # of an error message that lists all allowed names
+
 
 class InputError(ValueError):
     """An error in the user's input, with a message of one line that names the key, the value and what is allowed."""
@@ -39,6 +41,8 @@ def format_user_exception(error: BaseException) -> str:
 def format_name_suggestion(word: str, allowed: Iterable[str], short: Iterable[str] = ()) -> str:
     """Format the end of an error message about an unknown name: the closest allowed name, then all allowed names.
 
+    Of more than `MAX_LISTED_NAMES` allowed names the nearest few are listed.
+
     Args:
         word: The unknown name.
         allowed: Names that are allowed.
@@ -50,6 +54,8 @@ def format_name_suggestion(word: str, allowed: Iterable[str], short: Iterable[st
     import difflib
 
     allowed = list(allowed)
+    if len(allowed) > MAX_LISTED_NAMES:
+        return format_nearest_names(word, [*allowed, *short])
     close = difflib.get_close_matches(word, [*allowed, *short], n=1, cutoff=0.6)
     hint = f": did you mean {close[0]}?" if close else ""
     return f"{hint} (allowed: {', '.join(sorted(allowed))})" if allowed else hint

@@ -11,7 +11,7 @@ from sweep.core.errors import InputError, format_name_suggestion
 from sweep.core.expressions import find_column
 from sweep.report.labels import axis_words
 from sweep.report.tables import markdown_table
-from sweep.runs import store, time_series
+from sweep.runs import results, store, time_series
 from sweep.study.study import rollout_id_columns
 
 MAX_LISTED = 12  # pairs and figures of a list; `--output` has them all
@@ -79,9 +79,11 @@ def first_difference_text(a: Path, b: Path, share: float) -> str:
     if not len(differ):
         return f"Over time: no sample of {len(found)} rollouts differs by {much} ({len(columns)} columns)"
     first = differ.iloc[0]
+    tick = round(first["time_s"] / results.load_experiment(a).settings.control_period)
     return (
-        f"Over time: {len(differ)} of {len(found)} rollouts differ by {much}, first at {first['time_s']:g} s in "
-        f"{first['column']}: {first['a']:.6g} in A, {first['b']:.6g} in B (point {first['point_id']})"
+        f"Over time: {len(differ)} of {len(found)} rollouts differ by {much}, first in tick {tick} "
+        f"({first['time_s']:g} s) in {first['column']}: {first['a']:.6g} in A, {first['b']:.6g} in B "
+        f"(point {first['point_id']})"
     )
 
 
