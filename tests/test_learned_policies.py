@@ -20,6 +20,7 @@ from sweep.analysis import first_differences
 from sweep.cli.main import main
 from sweep.config.experiment import compose
 from sweep.core.errors import InputError
+from sweep.report import comparison
 from sweep.runs import batches, store, time_series
 from sweep.runs.runner import select_points_to_simulate
 from sweep.systems.mujoco_model import batch, policy, policy_spec
@@ -208,7 +209,7 @@ def test_a_discrete_policy_takes_the_likeliest_choice_or_draws_one(here):
     np.testing.assert_allclose(found.reshape(-1, 3).mean(axis=0), [*odds, 0.0], atol=0.1)
 
 
-def test_what_the_policy_saw_is_kept_and_the_first_difference_is_named(here, capsys):
+def test_what_the_policy_saw_is_kept_and_the_first_difference_is_named(here, capsys, monkeypatch):
     write_project(here, JOYSTICK, more=", period: 0.02")
     save_perceptron("walk.onnx", (48, 12), 0.5)
     asked = ["run", "study=one", "model.duration=0.2", "study.keep=[observation,action]", "study.keep_rate=50"]
@@ -231,6 +232,11 @@ def test_what_the_policy_saw_is_kept_and_the_first_difference_is_named(here, cap
     found = first_differences.find_time_series_differences(a, b, [*a.columns[-60:]], 1e-9)
     assert found["time_s"][0] == pytest.approx(0.02)  # the first observation is that of the start
     assert found["column"][0] == "observation_joint_velocities_lf_knee"
+    tables = {"a": a, "b": a.assign(action_lf_hip=a["action_lf_hip"].where(a["time_s"] < 0.05, 7.0))}
+    monkeypatch.setattr(time_series, "read_histories", lambda folder: tables[folder.name])
+    line = comparison.first_difference_text(Path("a"), Path("b"), 1e-3)
+    assert "1 of 1 rollouts differ" in line
+    assert "first in tick 3 (0.06 s) in action_lf_hip: " in line
 
 
 def test_what_exporters_write_into_the_network_counts_unless_the_file_says_otherwise(here):
@@ -348,12 +354,13 @@ def test_the_first_tick_is_printed_term_by_term(here, capsys):
     save_perceptron("walk.onnx", (73, 64, 12), 0.5)
     assert main(["policy", "check", "own", "controller.velocity_x=0.25"]) == 0
     lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
-    assert "| command | | 0.5 0 0.025 |" in lines
+    assert "| command | x 2 0.25 | 0.5 0 0.025 |" in lines
+    assert "| base_angular_velocity | rad/s x 0.25 | 0 0 0 |" in lines
     assert "| projected_gravity | | 0 0 -1 |" in lines
     network = onnxruntime.InferenceSession("walk.onnx", providers=["CPUExecutionProvider"])
     seen = np.concatenate([np.zeros(5), [-1, 0.5, 0, 0.025], np.zeros(60), [1, np.cos(3.14159), 0, np.sin(3.14159)]])
     (action,) = network.run(None, {"obs": seen[None]})[0]
-    assert f"| lf_hip | {action[1]:.4g} | {0.795 + 0.3 * action[1]:.4g} |" in lines
+    assert f"| lf_hip | {action[1]:.4g} | {0.795 + 0.3 * action[1]:.4g} | rad |" in lines
 
 
 def test_the_page_as_it_stands(here, monkeypatch):
@@ -438,6 +445,15 @@ def test_commands_follow_their_schedule_and_their_errors_are_metrics(here):
     made, task = make_engine("native")
     again = made.run(task.world, task.belief, task.streams)
     np.testing.assert_array_equal(again["velocity_error_rms_mps"], found["velocity_error_rms_mps"])
+
+
+def test_an_unknown_path_is_one_line_with_the_nearest_few_of_many(here, capsys):
+    write_project(here, JOYSTICK)
+    save_perceptron("walk.onnx", (48, 12))
+    assert main(["run", "study=one", "+noise.joint_position.white=0.1", "out=wrong"]) == 2
+    one_line(
+        capsys.readouterr().err, "did you mean noise.joint_positions.white? (nearest: noise.joint_positions.white, "
+    )
 
 
 @pytest.mark.parametrize(("schedule", "line"), [

@@ -40,7 +40,13 @@ def run(args: argparse.Namespace) -> int:
         print(f"\n{name}: {sum(len(numbers) for _, _, numbers in terms)} numbers in this tick\n")
         rows = [(term, unit, " ".join(f"{one:.4g}" for one in numbers)) for term, unit, numbers in terms]
         print(tabulate(rows, headers=("term", "unit", "numbers"), tablefmt="github", disable_numparse=True))
-    rows = [(actuator, f"{output:.4g}", f"{command:.4g}") for actuator, output, command in found.commands]
-    print(f"\naction: {len(rows)} commands\n")
-    print(tabulate(rows, headers=("actuator", "network", "command"), tablefmt="github", disable_numparse=True))
+    commands: list[tuple[str, ...]]
+    if found.is_learned:
+        headers, order = ("joint", "network", "command", "unit"), "joints, in the order of the network"
+        commands = [(name, f"{output:.4g}", f"{one:.4g}", unit) for name, output, one, unit in found.commands]
+    else:
+        headers, order = ("actuator", "command"), "commands"
+        commands = [(name, f"{one:.4g}") for name, _, one, _ in found.commands]
+    print(f"\naction: {len(commands)} {order}\n")
+    print(tabulate(commands, headers=headers, tablefmt="github", disable_numparse=True))
     return DONE

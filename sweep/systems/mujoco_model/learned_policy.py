@@ -48,10 +48,13 @@ class LearnedPolicy(NamedTuple):
     policy: Callable[..., Any]
     actuators: np.ndarray  # (k,) index of the actuator of each joint
     joint_control: actuation.JointPdControl | None  # None where controls are constant over a tick
+    command_units: tuple[str, ...]  # (k,) of the control of each joint; empty where the network gives controls
     assemble: Callable[..., Any]  # (belief, observation, state) -> numbers of each input, by name, and the next state
 
     def split_inputs_into_terms(self, numbers: Mapping[str, Any]) -> dict[str, list[tuple[str, str, np.ndarray]]]:
         """Split each network input into observation terms with names, units and numbers of the latest tick.
+
+        The unit of a scaled term ends with its scale, such as `rad/s x 0.05`.
 
         Args:
             numbers: Numbers of each input, by its name.
@@ -64,7 +67,7 @@ class LearnedPolicy(NamedTuple):
             else:
                 ends = len(numbers[name]) - sum(sizes) + np.cumsum(sizes)
             found[name] = [
-                (one.spec.label, one.unit, np.asarray(numbers[name][end - one.size : end]))
+                (one.spec.label, _scaled_unit(one), np.asarray(numbers[name][end - one.size : end]))
                 for one, end in zip(terms, ends, strict=True)
             ]
         return found
@@ -107,6 +110,13 @@ class LearnedPolicy(NamedTuple):
         return {
             one.spec.label: one for terms in self.inputs.values() for one in terms if one.measurement_slice is not None
         }
+
+
+def _scaled_unit(term: ObservationTerm) -> str:
+    if (term.scale == 1).all():
+        return term.unit
+    scales = " ".join(f"{one:g}" for one in dict.fromkeys(term.scale.tolist()))
+    return f"{term.unit} x {scales}".lstrip()
 
 
 def spec_path(network: Path) -> Path:
@@ -235,8 +245,9 @@ def bind_policy_to_model(
         return controls, {**state, **new}
 
     return LearnedPolicy(
-        spec, inputs, tuple(joints), offset, scale, begin, observe, policy, actuators, control, assemble
-    )
+        spec, inputs, tuple(joints), offset, scale, begin, observe, policy, actuators, control,
+        _command_units(spec.action, model, joints, actuators, control), assemble
+    )  # fmt: skip
 
 
 def _joint_names(error_prefix: str, names: Any, model: mujoco.MjModel) -> list[str]:
@@ -425,6 +436,20 @@ def _fit_distribution(
         return mean + size * jax.random.normal(key, mean.shape, jnp.float32).astype(mean.dtype)
 
     return None, draw
+
+
+def _command_units(
+    spec: ActionSpec, model: mujoco.MjModel, joints: list[str], actuators: np.ndarray, control: Any
+) -> tuple[str, ...]:
+    """Return the unit of each joint's command: that of the joint, times the gear of a position actuator."""
+    if spec.actuation == "direct":
+        return ("",) * len(joints)
+    gears = (
+        np.ones(len(joints)) if control is not None or spec.actuation == "target" else model.actuator_gear[actuators, 0]
+    )
+    slides = [model.joint(name).type[0] == int(mujoco.mjtJoint.mjJNT_SLIDE) for name in joints]
+    units = ["m" if slide else "rad" for slide in slides]
+    return tuple(unit if gear == 1 else f"{unit} x {gear:g}" for unit, gear in zip(units, gears, strict=True))
 
 
 def _recurrent_shape(network: Network, one: RecurrentSpec) -> tuple[int, ...]:

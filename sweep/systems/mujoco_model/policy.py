@@ -72,7 +72,9 @@ class FirstTickEvaluation(NamedTuple):
     """Observations and commands of a controller at the nominal start, without sensor errors."""
 
     inputs: dict[str, list[tuple[str, str, np.ndarray]]]  # terms of each input: name, unit and numbers
-    commands: list[tuple[str, float, float]]  # actuator, number of the network (NaN without one), command
+    # for a network: joint in its order, number of the network, command; else actuator, NaN, command; and the unit
+    commands: list[tuple[str, float, float, str]]
+    is_learned: bool  # whether a network with a policy file commands
 
 
 class TilePrograms(NamedTuple):
@@ -295,18 +297,21 @@ class ControllerPrograms:
         seen = spec.observe_state(observable)
         ctrl, carried = self.call_user_code(self.tick_controller, first, carried, observable)
         controls = np.array(self.compute_controls(np.tile(ctrl, (TILE_ROLLOUTS, 1))))[0]
-        names = [model.actuator(k).name or f"actuator {k}" for k in range(model.nu)]
-        learned, numbers = spec.controller.fitted_policy, np.full(model.nu, np.nan)
+        learned = spec.controller.fitted_policy
         if learned is None:
             parts = spec.config.observe or ("observation",)
             every = [observable[spec.state_slices[name]] for name in spec.config.observe] or [seen]
             inputs = {"observation": [(name, "", np.asarray(one)) for name, one in zip(parts, every, strict=True)]}
+            names = [model.actuator(k).name or f"actuator {k}" for k in range(model.nu)]
+            commands = [(name, np.nan, one, "") for name, one in zip(names, controls.tolist(), strict=True)]
         else:
-            numbers[learned.actuators] = carried["state"]["action"]
             inputs = learned.split_inputs_into_terms(
                 learned.assemble(self._belief(first, jnp.int32(0)), seen, state)[0]
             )
-        return FirstTickEvaluation(inputs, list(zip(names, numbers.tolist(), controls.tolist(), strict=True)))
+            action = np.asarray(carried["state"]["action"], float)
+            commands = list(zip(learned.joints, action.tolist(), controls[learned.actuators].tolist(),
+                                learned.command_units, strict=True))  # fmt: skip
+        return FirstTickEvaluation(inputs, commands, learned is not None)
 
     def _error(self, what: str) -> InputError:
         """One line that says what a controller does wrong."""
