@@ -394,6 +394,7 @@ def test_a_project_has_the_folders_of_its_model_and_judges_as_its_solver_allows(
     monkeypatch.chdir("walk")
     scenario = Path("scenarios/own.yaml").read_text()
     assert "unsolved_share >" not in scenario
+    assert "  invalid: energy_gained_j > 1.32 + 0.05 * energy_j\n" in scenario
     assert "keyframe: home  # or low\n" in scenario
     system = compose(["study=push_delay"]).system
     assert (system.config.mjcf, system.model.opt.iterations) == ("scenes/flat.xml", 1)
