@@ -29,12 +29,13 @@ def engine_figure(results: Results) -> Iterator[StudyFigure]:
     if len(x_y) < 2 or found.empty:
         return
     engines, rate = engine_audit.outcome_columns(found), engine_audit.agreement_rate(results)
-    names = ", ".join(column.removeprefix(engine_audit.OUTCOME_ON) for column in engines)
-    sure = f" ({format_percent(rate.low)} to {format_percent(rate.high)})" if rate.has_interval else ""
+    names = " and ".join(column.removeprefix(engine_audit.OUTCOME_ON) for column in engines)
+    ends = f"{format_percent(rate.low)} to {format_percent(rate.high)}"
+    sure = f", 95 % interval {ends}" if rate.has_interval else ""
     caption = (
-        f"Share of rollouts on which the engines {names} give the same valid outcome: {rate.successes:,} of "
-        f"{rate.total:,}, {format_percent(rate.share)}{sure}. Crosses: rollouts on which they do not agree. Dots: "
-        "failures on all engines."
+        f"The engines {names} give the same valid outcome in {rate.successes:,} of {rate.total:,} rollouts "
+        f"({format_percent(rate.share)}{sure}). Colour: this share in each cell. Crosses: rollouts on which they do "
+        "not agree. Dots: failures on all engines."
     )
     data = found[["point_id", *results.axes, *engines, engine_audit.AGREE]]
     yield StudyFigure("engines", "Agreement of engines", caption, data, lambda: _draw_engines(results, data))

@@ -119,8 +119,10 @@ def league_headline(content: LeagueContent) -> str:
     """State in a sentence which policies can be the best one, and how many pairs are decided."""
     table = content.table
     if "beaten_by" not in table:
-        best = table.iloc[0]
-        return f"{best['policy']} succeeds most often, at {100 * best['share']:.1f} % of these points."
+        best = table["share"].max()
+        names = list(table.loc[table["share"] == best, "policy"])
+        leading = f"{names[0]} succeeds" if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]} succeed"
+        return f"{leading} most often, at {100 * best:.1f} % of these points."
     unbeaten = list(table.loc[table["beaten_by"] == 0, "policy"])
     decided = count_decided_pairs(content.pairs)
     if len(unbeaten) == 1:

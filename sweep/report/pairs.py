@@ -60,18 +60,25 @@ def split_sides(pairs: pd.DataFrame) -> dict[str, pd.DataFrame]:
     }
 
 
-def pairs_headline(pairs: pd.DataFrame, a: Path, b: Path, unit: np.ndarray | None = None) -> str:
+def pairs_headline(pairs: pd.DataFrame, unit: np.ndarray | None = None) -> str:
     """State in a sentence how many outcomes differ between two studies, and whether chance explains it.
+
+    Args:
+        pairs: paired rows.
+        unit: independent unit of each pair (n,); None where pairs are no sample.
+    """
+    return f"{compare.count_flips(pairs, unit)}."
+
+
+def describe_pair_origin(pairs: pd.DataFrame, a: Path, b: Path) -> str:
+    """Say in a sentence which studies the pairs come from.
 
     Args:
         pairs: paired rows.
         a: folder of the first study.
         b: folder of the second study.
-        unit: independent unit of each pair (n,); None where pairs are no sample.
     """
-    return (
-        f"A is {a}, B is {b}: {len(pairs):,} pairs{describe_pair_columns(pairs)}. {compare.count_flips(pairs, unit)}."
-    )
+    return f"A is {a}, B is {b}: {len(pairs):,} pairs{describe_pair_columns(pairs)}."
 
 
 def pairs_tables(pairs: pd.DataFrame, unit: np.ndarray | None = None) -> Iterator[tuple[str, pd.DataFrame]]:

@@ -1,3 +1,7 @@
+import shutil
+import subprocess
+import tarfile
+
 import fake_engine
 import pytest
 from moved import moved
@@ -6,6 +10,8 @@ import sweep.engines
 from sweep.cli.main import main
 from sweep.report import replays
 from sweep.runs import batches, results
+
+AXE = "4.10.3"
 
 
 def simulated(out, *overrides):
@@ -48,3 +54,16 @@ def refined(tmp_path_factory):
     axes = ["study.axes.friction.num=5", "study.axes.step.num=5", "study.resolution=0.0625", theory]
     assert simulated(out, *axes) == 0
     return out
+
+
+@pytest.fixture(scope="session")
+def axe(tmp_path_factory):
+    """The source of axe, which looks for what bars people from a page, where npm can fetch it."""
+    folder = tmp_path_factory.mktemp("axe")
+    command = ["npm", "pack", "--silent", f"axe-core@{AXE}"]
+    if not shutil.which("npm") or subprocess.run(command, cwd=folder, capture_output=True, timeout=60).returncode:
+        pytest.skip(f"needs npm and axe-core {AXE}")
+    with tarfile.open(folder / f"axe-core-{AXE}.tgz") as packed:
+        source = packed.extractfile("package/axe.min.js")
+        assert source
+        return source.read().decode()

@@ -52,6 +52,16 @@ def test_a_study_becomes_a_run_of_every_tracker(folder, tmp_path, monkeypatch, c
         assert tag in stored
 
 
+def test_what_a_tracker_refuses_is_one_line(folder, monkeypatch, capsys):
+    def refuse(run_name, description):
+        raise RuntimeError("no such server\nand more")
+
+    monkeypatch.setattr("sweep.report.page.write_page", lambda found, path: path)
+    monkeypatch.setitem(sys.modules, "mlflow", SimpleNamespace(start_run=refuse))
+    assert main(["log", str(folder), "--mlflow"]) == 2
+    assert capsys.readouterr().err == "sweep: --mlflow: no such server\n"
+
+
 @pytest.mark.parametrize(("flags", "words"), [
     (["--mlflow"], "--mlflow needs mlflow: pip install 'insect-sweep[mlflow]'"),
     (["--wandb"], "--wandb needs wandb: pip install 'insect-sweep[wandb]'"),

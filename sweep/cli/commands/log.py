@@ -2,6 +2,7 @@
 
 import argparse
 import tempfile
+from functools import partial
 from pathlib import Path
 
 from sweep.cli.arguments import add_folder, add_where
@@ -45,10 +46,14 @@ def run(args: argparse.Namespace) -> int:
     study = trackers.describe_tracked_study(found)
     with tempfile.TemporaryDirectory() as folder:
         written = page.write_page(found, Path(folder) / "report.html")
-        if args.mlflow:
-            print(trackers.log_study_to_mlflow(packages["mlflow"], study, written))
-        if args.wandb:
-            print(trackers.log_study_to_wandb(packages["wandb"], study, written))
-        if args.tensorboard:
-            print(trackers.log_study_to_tensorboard(packages["tensorboard"], study, written, args.tensorboard))
+        store = {
+            "mlflow": trackers.log_study_to_mlflow,
+            "wandb": trackers.log_study_to_wandb,
+            "tensorboard": partial(trackers.log_study_to_tensorboard, folder=args.tensorboard),
+        }
+        for name, package in packages.items():
+            try:
+                print(store[name](package, study, written))
+            except Exception as error:  # trackers raise errors of their own for a wrong server, project or key
+                raise InputError(f"--{name}: {(str(error) or type(error).__name__).splitlines()[0]}") from error
     return DONE

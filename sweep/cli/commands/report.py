@@ -122,7 +122,8 @@ def write_comparison_page(args: argparse.Namespace, a: "Results", folder: Path) 
             pairs.replay_flipped_pairs(a, b, args.replays, report)
     about = page.ComparisonPageContent(
         f"{a.name} and {b.name}" if a.name != b.name else f"{a.name}: two runs",
-        pairs.pairs_headline(table, args.dir, args.b, unit),
+        pairs.pairs_headline(table, unit),
+        pairs.describe_pair_origin(table, args.dir, args.b),
         list(pairs.difference_figure(found, table)),
         list(pairs.pairs_tables(table, unit)),
         pairs.split_sides(table),

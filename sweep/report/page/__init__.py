@@ -44,11 +44,13 @@ from sweep.runs.unsearched_values import describe_values_outside_tuned_range
 from sweep.study.columns import LABEL_COLUMNS
 
 MAX_TABLE_ROWS, MAX_LINES = 100, 100  # of the table at the end, and of the others
+WEBP_QUALITY, MAX_PICTURE_PIXELS = 75, 10_000_000  # of pictures of rollouts
 DPI = 140  # of pictures that are for paper alone
 MAX_PAGE_CHARACTERS, RESERVED_CHARACTERS = (
     5_000_000,
     700_000,
 )  # characters of a page, and of what is neither picture, row nor state
+OPENING_FIGURES = ("push_map", "engines")
 TELLING = (
     "distance_m",
     "slip_max_m",
@@ -70,6 +72,7 @@ class PageFigure:
     caption: str
     picture: Markup
     live: bool  # the script shows the same
+    opens: bool  # the page opens with it, because it answers the study's question and no view of the script does
 
 
 def write_page(results: Results, path: Path, **options: Any) -> Path:
@@ -94,6 +97,7 @@ class ComparisonPageContent:
 
     name: str
     headline: str
+    origin: str  # sentence that names the studies
     figures: list[StudyFigure]
     tables: list[tuple[str, pd.DataFrame]]
     sides: dict[str, pd.DataFrame]  # outcome and cause of each pair's rollout, by the name of the side
@@ -219,6 +223,7 @@ def make_page_figure(figure: StudyFigure) -> PageFigure:
             figure.caption,
             (png_element if live else svg_element)(figure.draw(), figure.title),
             live,
+            figure.key in OPENING_FIGURES,
         )
 
 
@@ -256,7 +261,20 @@ def representative_values(representative: Representative, exp: Experiment) -> It
 
 def representative_picture_url(representative: Representative) -> str:
     """Return the data URL of a representative rollout's picture; empty if there is none."""
-    return data_url(read_bytes_limited(representative.picture)) if representative.picture.exists() else ""
+    return picture_url(read_bytes_limited(representative.picture)) if representative.picture.exists() else ""
+
+
+def picture_url(png: bytes) -> str:
+    """Return the data URL of a stored picture as WebP, a third of the PNG; as PNG if it cannot be read."""
+    small = io.BytesIO()
+    try:
+        with Image.open(io.BytesIO(png), formats=["PNG"]) as picture:
+            if picture.width * picture.height > MAX_PICTURE_PIXELS:  # of a stranger's folder
+                return data_url(png)
+            picture.convert("RGB").save(small, "webp", quality=WEBP_QUALITY)
+    except (OSError, ValueError, SyntaxError):  # Pillow raises the last for damaged PNG files
+        return data_url(png)
+    return data_url(small.getvalue(), "webp")
 
 
 def first_rows_table(rows: pd.DataFrame, exp: Experiment) -> Markup:
@@ -306,9 +324,9 @@ def png_element(figure: Figure, title: str) -> Markup:
     return Markup('<img src="{}" alt="{}">').format(data_url(small.getvalue()), title)
 
 
-def data_url(picture: bytes) -> str:
-    """Return the data URL of a PNG picture."""
-    return f"data:image/png;base64,{base64.b64encode(picture).decode()}"
+def data_url(picture: bytes, form: str = "png") -> str:
+    """Return the data URL of a picture."""
+    return f"data:image/{form};base64,{base64.b64encode(picture).decode()}"
 
 
 _numbers = itertools.count()
