@@ -41,6 +41,9 @@ BAR = f'<geom type="capsule" size="0.02" fromto="-.05 0 -.2 0.09 0 -.2" mass="0.
 PAIRED = '<geom name="tip_{}" type="sphere" size="0.03" pos="0 0 -0.2" mass="0.1" contype="0" conaffinity="0"/>'
 TIP = '<geom {} mass="0.1" friction="0.7"/>'
 ROUND = f'<geom {{}} pos="0 0 -0.2" mass="0.1" {TOUCHES}/>'
+WEDGE = (
+    '<mesh name="wedge" vertex="-.06 -.03 -.02 .08 -.03 -.02 .08 .03 -.02 -.06 .03 -.02 -.05 -.02 .03 .05 .02 .03"/>'
+)
 GROUND = "".join(  # five steps, of which a row of contacts has three; the others are of other laws
     f'<geom type="box" size="0.05 1 0.2" pos="{0.08 * k} 0 {0.01 * (k % 3) - 0.21}" euler="0 {3 * k} 5"/>'
     for k in range(5)
@@ -137,6 +140,9 @@ MODELS = {
     )
     .replace(TOUCHES, 'conaffinity="0" contype="0"', 1)
     .replace('<body name="trunk"', GROUND + '<body name="trunk"'),
+    "feet that are meshes": robot(limbs(LEG[:1], ROUND.format('type="mesh" mesh="wedge" euler="5 3 0"'), "ab")).replace(
+        "<worldbody>", f"<asset>{WEDGE}</asset><worldbody>"
+    ),
     "fixed base, frictionless bars": robot(limbs(LEG, BAR), base="", plane='condim="1"'),
 }
 

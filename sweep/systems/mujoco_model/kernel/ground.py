@@ -4,6 +4,9 @@ A foot may touch few of many steps of a stair at once. So steps whose contacts h
 has the nearest of what is left.
 """
 
+import operator
+from collections.abc import Callable
+from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,16 +21,18 @@ from sweep.systems.mujoco_model.kernel.constraints import (
     make_plane_tangents,
     make_tangents,
 )
+from sweep.systems.mujoco_model.kernel.hulls import MOST_CORNERS, MeshHull, find_hull
 from sweep.systems.mujoco_model.kernel.layout import (
     BOX,
     CYLINDER,
     ELLIPSOID,
-    GROUND_SHAPES,
+    MESH,
     SPHERE,
     BodyStack,
     CollisionPlane,
     RobotLayout,
     StaticGeom,
+    simulates_shapes,
     touches_ground,
 )
 from sweep.systems.mujoco_model.kernel.numbers import ModelFieldValues
@@ -50,6 +55,8 @@ from sweep.systems.mujoco_model.kernel.scalars import (
 )
 from sweep.systems.mujoco_model.kernel.smooth import RobotState, SmoothTerms
 
+FAR = 1e6  # m, a distance without a contact
+LEVEL = 1e-7  # m, by which a corner may be higher than the lowest one and count as such
 AT_ONCE = 3  # shapes of the world with the same law that a geom of the robot touches at once
 LAW_FIELDS = ("geom_friction", "geom_solref", "geom_solimp", "geom_margin", "geom_solmix")
 
@@ -81,16 +88,18 @@ def find_ground_contacts(
         for geoms in stack.geoms:
             kind, point = int(model.geom_type[geoms[0]]), _stand_for(s, stack, geoms)
             touched = [one for one in layout.planes if touches_ground(model, int(geoms[0]), one.geom)]
-            for plane in touched if kind in (CYLINDER, ELLIPSOID) else []:
+            for plane in touched if kind in (CYLINDER, ELLIPSOID, MESH) else []:
                 centre, axes = _locate(numbers, smooth, s, geoms)
-                places = _cylinder_points if kind == CYLINDER else _ellipsoid_point
-                height = Vector(
-                    *(x - y for x, y in zip(state.position, find_point_on_plane(numbers, plane), strict=True))
-                )
                 normal = constant_vector(plane.normal)
+                height = normal.dot(state.position - find_point_on_plane(numbers, plane))
                 frame = (normal, *make_plane_tangents(normal, None))
-                for at in places(numbers, plane, geoms, centre, axes):
-                    distance = normal.dot(height + at)
+                if kind == MESH:
+                    points = _hull_points(numbers, plane, geoms, centre, axes)
+                else:
+                    places = _cylinder_points if kind == CYLINDER else _ellipsoid_point
+                    points = [(at, ZERO) for at in places(numbers, plane, geoms, centre, axes)]
+                for at, lift in points:
+                    distance = height + normal.dot(at) + lift
                     middle = at - normal * (distance * 0.5)
                     found.append(
                         make_ground_contacts(
@@ -159,11 +168,54 @@ def _ellipsoid_point(
     return [centre - rotate_to_world(axes, Vector(*(a * b * inverse for a, b in zip(scaled, size, strict=True))))]
 
 
+def _hull_points(
+    numbers: ModelFieldValues, plane: CollisionPlane, geoms: np.ndarray, centre: Vector, axes: Axes
+) -> list[tuple[Vector, Any]]:
+    """Corners of one face of a mesh's hull: of those that meet in its lowest corner, the one that faces the plane most.
+
+    Corners and faces are constants, of which each rollout selects its own.
+    """
+    hulls = [find_hull(numbers.model, int(geom)) for geom in geoms]
+    up = rotate_to_body(axes, constant_vector(plane.normal))
+
+    def join(rows: list[np.ndarray]) -> Vector:
+        return Vector(*(Scalar(np.array(x) if len(rows) > 1 else x[0]) for x in np.transpose(rows)))
+
+    def each(read: Callable[[MeshHull], np.ndarray]) -> list[np.ndarray]:
+        return [read(one) for one in hulls if one]
+
+    count = max(len(one.corners) for one in hulls if one)
+    corners = [join(each(lambda one, k=k: one.corners[k % len(one.corners)])) for k in range(count)]
+    heights = [up.dot(one) for one in corners]
+    lowest = reduce(smallest, heights)
+    best, chosen, lifts = Scalar(FAR), [NOTHING] * MOST_CORNERS, [ZERO] * MOST_CORNERS
+    for f in range(max(len(one.faces) for one in hulls if one)):
+        normal = join(each(lambda one, f=f: one.normals[f % len(one.faces)]))
+        own = [one.faces[f % len(one.faces)] for one in hulls if one]
+        places = [join(each_corner) for each_corner in _face_corners(hulls, own)]
+        missing = [Scalar(np.array([FAR * (k >= len(face)) for face in own])) for k in range(MOST_CORNERS)]
+        is_low = reduce(operator.or_, (up.dot(one) < lowest + LEVEL for one in places))
+        tilt = up.dot(normal)
+        is_better = is_low & (tilt < best)
+        best = where(is_better, tilt, best)
+        chosen = [_choose_vector(is_better, *both) for both in zip(places, chosen, strict=True)]
+        lifts = [where(is_better, a, b) for a, b in zip(missing, lifts, strict=True)]
+    return [(centre + rotate_to_world(axes, place), lift) for place, lift in zip(chosen, lifts, strict=True)]
+
+
+def _face_corners(hulls: list[MeshHull | None], faces: list[tuple[int, ...]]) -> list[list[np.ndarray]]:
+    """Places of the corners of a face of each hull; the first again for those that it lacks."""
+    return [
+        [one.corners[face[k if k < len(face) else 0]] for one, face in zip(hulls, faces, strict=True) if one]
+        for k in range(MOST_CORNERS)
+    ]
+
+
 def _find_alike(layout: RobotLayout, numbers: ModelFieldValues, geoms: np.ndarray) -> list[list[StaticGeom]]:
     """Shapes of the world that geoms may touch, those with the same law of contacts together."""
-    model, found = numbers.model, {}
+    model, found, first = numbers.model, {}, int(geoms[0])
     for one in layout.static_geoms:
-        if int(model.geom_type[geoms[0]]) in GROUND_SHAPES[one.kind] and touches_ground(model, int(geoms[0]), one.geom):
+        if simulates_shapes(model, first, one.geom) and touches_ground(model, first, one.geom):
             place = np.array([one.geom])
             own = one.geom if any(numbers.is_varied(name, place) for name in LAW_FIELDS) else -1
             forms = tuple(describe_law_form(model, int(geom), one.geom) for geom in geoms)
@@ -218,7 +270,7 @@ def _nearest_of_box(centre: Vector, radius: Scalar, size: list[Scalar], place: V
     length = square_root(out.dot(out))
     is_outside = length > Scalar(TINY)
     inverse = 1 / where(is_outside, length, ONE)
-    depth, inner = Scalar(1e6), [ZERO] * 3
+    depth, inner = Scalar(FAR), [ZERO] * 3
     for k in range(3):
         for side in (-1.0, 1.0):
             here = size[k] - centre[k] * side
@@ -240,7 +292,7 @@ def _select_nearest(
     if len(every) <= AT_ONCE:
         return every
     kept: list[Nearest] = []
-    least = Scalar(1e6)  # distance of what is left out
+    least = Scalar(FAR)  # distance of what is left out
     for one in every:
         rest = one
         for k, other in enumerate(kept):
@@ -256,9 +308,10 @@ def _select_nearest(
 
 
 def _choose(condition: Any, one: Nearest, other: Nearest) -> Nearest:
-    def vector(a: Vector, b: Vector) -> Vector:
-        return Vector(*(where(condition, x, y) for x, y in zip(a, b, strict=True)))
+    distance = where(condition, one.distance, other.distance)
+    vectors = (_choose_vector(condition, *both) for both in ((one.at, other.at), (one.normal, other.normal)))
+    return Nearest(distance, *vectors)
 
-    return Nearest(
-        where(condition, one.distance, other.distance), vector(one.at, other.at), vector(one.normal, other.normal)
-    )
+
+def _choose_vector(condition: Any, one: Vector, other: Vector) -> Vector:
+    return Vector(*(where(condition, x, y) for x, y in zip(one, other, strict=True)))

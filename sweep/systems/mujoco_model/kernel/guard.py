@@ -17,11 +17,11 @@ from sweep.systems.mujoco_model.kernel.layout import (
     CAPSULE,
     CYLINDER,
     ELLIPSOID,
-    GROUND_SHAPES,
     PLANE,
     SPHERE,
     RobotLayout,
     find_stack_of_body,
+    simulates_shapes,
 )
 from sweep.systems.mujoco_model.kernel.numbers import ModelFieldValues
 from sweep.systems.mujoco_model.kernel.pairs import find_simulated_pairs
@@ -62,8 +62,8 @@ def find_unsimulated_geom_pairs(layout: RobotLayout, model: mujoco.MjModel) -> l
     """Return the pairs of geoms that may touch but whose contacts the kernel does not simulate."""
     simulated = {frozenset(pair) for pair in find_simulated_pairs(layout, model)}
     for one in (*layout.planes, *layout.static_geoms):
-        shapes = GROUND_SHAPES[int(model.geom_type[one.geom])]
-        simulated |= {frozenset((one.geom, int(g))) for g in np.flatnonzero(np.isin(model.geom_type, shapes))}
+        others = (g for g in range(model.ngeom) if simulates_shapes(model, g, one.geom))
+        simulated |= {frozenset((one.geom, g)) for g in others}
     return [(a, b) for a, b in find_geom_pairs(model).tolist() if frozenset((a, b)) not in simulated]
 
 

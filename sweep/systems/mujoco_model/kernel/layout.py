@@ -11,15 +11,16 @@ import numpy as np
 
 from sweep.core.errors import InputError
 from sweep.systems.mujoco_model.geom_pairs import may_touch
+from sweep.systems.mujoco_model.kernel.hulls import find_hull
 
 FREE, BALL, SLIDE, HINGE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{one}")) for one in ("FREE", "BALL", "SLIDE", "HINGE"))
 GEOM = mujoco.mjtGeom
-PLANE, SPHERE, CAPSULE, BOX, CYLINDER, ELLIPSOID, HFIELD = (
+PLANE, SPHERE, CAPSULE, BOX, CYLINDER, ELLIPSOID, MESH, HFIELD = (
     int(getattr(GEOM, f"mjGEOM_{one}"))
-    for one in ("PLANE", "SPHERE", "CAPSULE", "BOX", "CYLINDER", "ELLIPSOID", "HFIELD")
+    for one in ("PLANE", "SPHERE", "CAPSULE", "BOX", "CYLINDER", "ELLIPSOID", "MESH", "HFIELD")
 )
 GROUND_SHAPES = {  # shapes of the robot whose contacts with a shape of the world are simulated; `guard` watches others
-    PLANE: (SPHERE, CAPSULE, BOX, CYLINDER, ELLIPSOID),
+    PLANE: (SPHERE, CAPSULE, BOX, CYLINDER, ELLIPSOID, MESH),
     SPHERE: (SPHERE, CAPSULE),
     CAPSULE: (SPHERE, CAPSULE),
     BOX: (SPHERE,),
@@ -134,9 +135,7 @@ def find_layout(model: mujoco.MjModel) -> RobotLayout:
 
     def touched(geom: int) -> tuple[int, ...]:
         """Geoms of the world that a geom of the robot may touch, in contacts that are simulated."""
-        kind = int(model.geom_type[geom])
-        found = [g for g in ground if kind in GROUND_SHAPES[int(model.geom_type[g])]]
-        return tuple(g for g in found if touches_ground(model, geom, g))
+        return tuple(g for g in ground if simulates_shapes(model, geom, g) and touches_ground(model, geom, g))
 
     def touching(body: int) -> list[int]:
         mine = [g for g in range(model.ngeom) if model.geom_bodyid[g] == body and model.body_weldid[body]]
@@ -252,6 +251,19 @@ def find_contact_pair_ids(model: mujoco.MjModel, geoms: np.ndarray, others: np.n
     if min(found) < 0:
         raise unsupported_model_error("limbs of which some, but not all, have explicit contact pairs")
     return np.array(found)
+
+
+def simulates_shapes(model: mujoco.MjModel, geom: int, ground: int) -> bool:
+    """Return whether the kernel simulates contacts of a geom's shape with that of a geom of the world.
+
+    Args:
+        model: The model.
+        geom: Id of the robot's geom.
+        ground: Id of the world's geom.
+    """
+    kind = int(model.geom_type[geom])
+    is_small = kind != MESH or find_hull(model, geom) is not None
+    return is_small and kind in GROUND_SHAPES[int(model.geom_type[ground])]
 
 
 def touches_ground(model: mujoco.MjModel, geom: int, ground: int) -> bool:
