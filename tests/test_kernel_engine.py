@@ -51,6 +51,27 @@ GROUND = "".join(  # five steps, of which a row of contacts has three; the other
     '<geom type="capsule" size="0.1 0.3" pos="0.22 0.12 -0.08" euler="90 5 5" friction="0.4"/>'
     '<geom type="sphere" size="0.1" pos="0.25 -0.12 -0.08" solref="0.03 1"/>'
 )
+COUPLED = (  # in some limbs; b's is of another form
+    '<equality><joint joint1="a1" joint2="a0" polycoef="0.02 0.7 0.2 -0.1 .05"/>'
+    '<joint joint1="b1" joint2="b0" polycoef="0.02 -0.5 0.2 0 0" solref=".03 1" solimp=".8 .95 .01"/>'
+    '<joint joint1="c1" polycoef="0.1 0 0 0 0"/></equality>'
+)
+TENDONS = "".join(  # the third links limbs of two sides
+    f'<fixed name="{name}" limited="true" range="-0.1 0.1" margin=".01" stiffness="30" springlength="-0.02 0.03" '
+    f'damping="2" frictionloss="0.3" armature="0.05"><joint joint="{one}" coef="0.3"/>'
+    f'<joint joint="{other}" coef="-0.8"/></fixed>'
+    for name, one, other in (("left", "a0", "a1"), ("right", "b0", "b1"), ("both", "a0", "b1"))
+)
+TENDONS = (
+    f'<tendon>{TENDONS}<fixed name="knee"><joint joint="a1" coef="1"/></fixed></tendon>'
+    '<equality><tendon tendon1="knee" tendon2="both" polycoef="0.05 0.5 0.1 0 0"/></equality>'
+    '<actuator><position tendon="left" kp="20" kv="1.5"/><motor tendon="both" gear="2"/></actuator>'
+)
+LOOP = (
+    '<worldbody><site name="post" pos="0 -.1 .4"/></worldbody>'
+    '<equality><connect body1="shank" body2="trunk" anchor="0.02 0.01 -0.1"/>'
+    '<connect site1="eye" site2="post" solref="0.1 1"/></equality>'
+)
 SLIDE = (
     '<body pos="0 0 -.2"><joint type="slide" axis="0 0.1 1" range="-.05 .05" stiffness="300" springref="0.01"/>'
     f'<geom type="sphere" size=".03" mass=".2" {TOUCHES} solmix="2" solref="-2000 -60"/></body>'
@@ -107,13 +128,16 @@ MODELS = {
         'frictionloss="0.2"',
         'euler="8 5 0"',
     ),
-    "six sliding feet, explicit damping": robot(
+    "six sliding feet, explicit damping, coupled joints": robot(
         limbs(LEG[:2], SLIDE, "abcdef"), '><flag eulerdamp="disable" refsafe="disable"/></option><option'
-    ),
-    "damping, armature and friction of the free joint": robot(
-        limbs(LEG, FOOT, "ab"), base='<joint type="free" damping="2" armature="0.3" frictionloss="1.5"/>'
-    ),
-    "explicit contact pairs": robot(
+    ).replace("</mujoco>", COUPLED + "</mujoco>"),
+    "damping, armature and friction of the free joint, limbs held at the trunk and at a post": robot(
+        limbs(LEG, FOOT + EYE, "ab").replace("eye", "other", 1),
+        base='<joint type="free" damping="2" armature="0.3" frictionloss="1.5"/>',
+    )
+    .replace('euler="10 20 0"', 'name="shank" euler="10 20 0"', 1)
+    .replace("</mujoco>", LOOP + "</mujoco>"),
+    "explicit contact pairs, tendons": robot(
         limbs(LEG[:2], PAIRED.format("a"), "a") + limbs(LEG[:2], PAIRED.format("b"), "b"), 'integrator="implicitfast"'
     )
     .replace('pos="0 .1 0"', 'pos="0 .03 0"')
@@ -122,7 +146,7 @@ MODELS = {
         "</mujoco>",
         '<contact><pair geom1="tip_a" geom2="floor" condim="4" friction="0.9 0.4 0.03 0 0" solref="0.015 0.9"/>'
         '<pair geom1="floor" geom2="tip_b" condim="4" margin="0.003" solimp="0.8 0.97 0.003 0.4 3"/>'
-        '<pair geom1="tip_a" geom2="tip_b"/></contact></mujoco>',
+        f'<pair geom1="tip_a" geom2="tip_b"/></contact>{TENDONS}</mujoco>',
     ),
     "two bars and a ball on limbs that touch one another": robot(
         limbs(LEG[:2], TIP.format('type="capsule" size="0.03" fromto="0 0 0 .02 .01 -.2"'), "ab")
@@ -206,7 +230,11 @@ def test_sensors_equal_those_of_c_mujoco(base):
     [
         ('<joint name="lf_roll" class="roll"/>', '<joint name="lf_roll" type="ball"/>', "ball joints"),
         ('integrator="implicitfast"', 'integrator="RK4"', "the integrator mjINT_RK4"),
-        ("</worldbody>", '</worldbody><tendon><fixed><joint joint="lf_hip" coef="1"/></fixed></tendon>', "tendons"),
+        (
+            "</worldbody>",
+            '</worldbody><equality><weld body1="trunk"/></equality>',
+            "equality constraints of type mjEQ_WELD",
+        ),
     ],
 )
 def test_what_it_does_not_simulate_is_refused_by_name(old, new, what):
@@ -321,7 +349,14 @@ def simulate(*words):
 
 
 def test_rows_equal_those_of_native(project, capsys):
-    """All metrics of pushed rollouts with delays of commands, whose models differ; in double precision."""
+    """All metrics of pushed rollouts with delays of commands, whose models differ; in double precision.
+
+    A tendon's damper is the one force that couples joints in the integrator.
+    """
+    own = Path("quadruped.xml")
+    pull = '<joint joint="lf_hip" coef="1"/><joint joint="lf_knee" coef="-0.5"/>'
+    pull = f'<tendon><fixed damping="0.1" stiffness="2">{pull}</fixed></tendon></mujoco>'
+    own.write_text(own.read_text().replace("</mujoco>", pull))
     here = simulate("engine=kernel", "out=results/kernel")
     assert "differ from C MuJoCo's by" in capsys.readouterr().err
     there = simulate("engine=native", "out=results/native")

@@ -2,5 +2,6 @@
 
 `layout` reads which bodies are alike, `scalars` has numbers that fold constants, `numbers` reads them from a model or
 from a rollout's own values, `smooth` has kinematics and inertia, `constraints` contacts, limits and friction of joints,
-`solver` Newton's method, `step` the integrator, `sensors` what policies read.
+`links`, `tendons` and `link_constraints` tendons and equality constraints, `solver` Newton's method, `step` the
+integrator, `sensors` what policies read.
 """

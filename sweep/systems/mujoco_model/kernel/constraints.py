@@ -4,6 +4,8 @@ A constraint has a residual: the acceleration that a motion gives it, less the o
 the slope of a convex cost of that residual, so that the accelerations minimize the sum of all costs and of Gauss's.
 """
 
+import operator
+from functools import reduce
 from typing import Any, NamedTuple
 
 import mujoco
@@ -39,7 +41,6 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     where,
 )
 from sweep.systems.mujoco_model.kernel.smooth import (
-    BASE,
     UPRIGHT,
     RobotState,
     SmoothTerms,
@@ -98,17 +99,26 @@ class GroundContacts(NamedTuple):
 
 
 class JointConstraint(NamedTuple):
-    """Constraint row for corresponding joints of all limbs: a range limit, or joint friction.
+    """Constraint row of one dimension for corresponding joints of all limbs: a limit, friction, or an equality.
 
-    Or on that of the base in one direction: the friction of the free joint.
+    It is one of a sum of joint positions, of the base in one direction (friction of the free joint), or of both.
     """
 
-    joint: tuple[int, int]
-    side: Scalar  # of the joint's acceleration in the row
+    terms: tuple[tuple[tuple[int, int], Scalar], ...]  # joints, and the row's acceleration per unit of theirs
+    n: int  # limbs that have such a row
     weight: Scalar
     wanted: Scalar
-    most: Scalar | None  # N m or N, of friction; None for a limit
-    direction: SpatialVector | None = None  # of the base; None for a joint's row
+    most: Scalar | None = None  # N m or N, of friction; None for others
+    direction: SpatialVector | None = None  # of the base; None without a term of the base
+    is_equality: bool = False
+    is_unit: bool = False  # whether the only factor is 1 or -1
+
+    def project(self, base: SpatialVector, joints: dict[tuple[int, int], Scalar]) -> Scalar:
+        """Return the row's acceleration for accelerations of the base and of the joints."""
+        parts = [factor * joints[joint] for joint, factor in self.terms]
+        if self.direction is not None:
+            parts.append(self.direction.dot(base))
+        return reduce(operator.add, parts)
 
 
 class Constraints(NamedTuple):
@@ -457,13 +467,13 @@ def compute_impedance(law: ConstraintLaw, depth: Scalar) -> Scalar:
 def compute_joint_constraints(
     layout: RobotLayout, numbers: ModelFieldValues, state: RobotState
 ) -> list[JointConstraint]:
-    """Compute the constraints of all joints that have range limits or friction."""
+    """Compute the rows of all joints that have range limits or friction."""
     model, found = numbers.model, _find_base_friction(layout, numbers, state)
     for joint in layout.joints:
         ids = layout.stacks[joint[0]].joints[joint[1]]
         dofs, rate = model.jnt_dofadr[ids], state.rates[joint]
         if numbers.may_be_nonzero("dof_frictionloss", dofs):
-            found.append(_friction_row(numbers, joint, dofs, rate))
+            found.append(_friction_row(numbers, ((joint, ONE),), dofs, rate))
         limited = model.jnt_limited[ids].astype(bool)
         if limited.any():
             low, high = (numbers.get("jnt_range", ids, k) for k in range(2))
@@ -473,29 +483,29 @@ def compute_joint_constraints(
             under, over = state.angles[joint] - low, high - state.angles[joint]
             is_low = under < over
             depth, side = where(is_low, under, over), where(is_low, ONE, -ONE)
-            law = _joint_law(numbers, "jnt", ids)
+            law = read_constraint_law(numbers, "jnt_solref", "jnt_solimp", ids)
             margin = numbers.get("jnt_margin", ids)
             impedance = compute_impedance(law, depth - margin)
             inverse = numbers.get("dof_invweight0", dofs)
             weight = where(depth < margin, impedance / (inverse * (1 - impedance)), ZERO)
             wanted = -(side * rate) * law.damping - law.stiffness * impedance * (depth - margin)
-            found.append(JointConstraint(joint, side, weight, wanted, None))
+            found.append(JointConstraint(((joint, side),), len(ids), weight, wanted, is_unit=True))
     return found
 
 
 def _friction_row(
     numbers: ModelFieldValues,
-    joint: tuple[int, int],
+    terms: tuple[tuple[tuple[int, int], Scalar], ...],
     dofs: np.ndarray,
     rate: Scalar,
     direction: SpatialVector | None = None,
 ) -> JointConstraint:
     """Friction of degrees of freedom (n,) that move at a rate."""
-    law = _joint_law(numbers, "dof", dofs)
+    law = read_constraint_law(numbers, "dof_solref", "dof_solimp", dofs)
     least = law.impedance[0]
     weight = least / (numbers.get("dof_invweight0", dofs) * (1 - least))
     most = numbers.get("dof_frictionloss", dofs)
-    return JointConstraint(joint, ONE, weight, -(rate * law.damping), most, direction)
+    return JointConstraint(terms, len(dofs), weight, -(rate * law.damping), most, direction, is_unit=True)
 
 
 def _find_base_friction(layout: RobotLayout, numbers: ModelFieldValues, state: RobotState) -> list[JointConstraint]:
@@ -506,13 +516,21 @@ def _find_base_friction(layout: RobotLayout, numbers: ModelFieldValues, state: R
     found = []
     for k, axis in enumerate((*UPRIGHT, *quaternion_axes(*state.quat))):
         direction = SpatialVector(axis, NOTHING) if k < len(UPRIGHT) else SpatialVector(NOTHING, axis)
-        found.append(_friction_row(numbers, BASE, dofs[k : k + 1], direction.dot(state.velocity), direction))
+        found.append(_friction_row(numbers, (), dofs[k : k + 1], direction.dot(state.velocity), direction))
     return found
 
 
-def _joint_law(numbers: ModelFieldValues, kind: str, ids: np.ndarray) -> ConstraintLaw:
-    reference = [numbers.get(f"{kind}_solref", ids, k) for k in range(2)]
-    return make_constraint_law(numbers, reference, [numbers.get(f"{kind}_solimp", ids, k) for k in range(5)])
+def read_constraint_law(numbers: ModelFieldValues, reference: str, impedance: str, ids: np.ndarray) -> ConstraintLaw:
+    """Make the law of constraints from fields of the model.
+
+    Args:
+        numbers: Numbers of the rollout's model.
+        reference: MuJoCo's name of the field with `solref`.
+        impedance: MuJoCo's name of the field with `solimp`.
+        ids: Elements (n,).
+    """
+    given = [numbers.get(reference, ids, k) for k in range(2)]
+    return make_constraint_law(numbers, given, [numbers.get(impedance, ids, k) for k in range(5)])
 
 
 class ContactHessian(NamedTuple):
@@ -714,7 +732,9 @@ def make_line_search_cost(
 
 
 def joint_constraint_force(row: JointConstraint, residual: Scalar) -> tuple[Scalar, Scalar]:
-    """Return the force of a joint's limit or friction constraint, and the second derivative of its cost."""
+    """Return the force of a row of joints, and the second derivative of its cost."""
+    if row.is_equality:
+        return -(row.weight * residual), row.weight
     if row.most is None:
         inside = residual < ZERO
         return -(row.weight * smallest(residual, ZERO)), where(inside, row.weight, ZERO)

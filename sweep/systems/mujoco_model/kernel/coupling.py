@@ -12,9 +12,9 @@ from sweep.systems.mujoco_model.kernel.pairs import (
     BodyMember,
     JointMember,
     PairContacts,
+    inner_members,
     join_motions,
     joints_between,
-    moving_members,
     order_elimination,
 )
 from sweep.systems.mujoco_model.kernel.scalars import ZERO, Scalar, join_members, join_vectors
@@ -88,9 +88,8 @@ class CoupledSystem:
             for member in range(layout.stacks[joint[0]].n):
                 for one, x in zip(self._base, side[joint], strict=True):
                     self._add(one, (joint, member), x.stack_member(member))
-                for inner in moving_members(layout, (joint[0], member)):
-                    if (inner[0], joint) in entries:
-                        self._add(inner, (joint, member), entries[inner[0], joint].stack_member(member))
+                for inner in [*inner_members(layout, (joint, member)), (joint, member)]:
+                    self._add(inner, (joint, member), entries[inner[0], joint].stack_member(member))
 
     def _add(self, one: Any, other: Any, number: Scalar) -> None:
         key = frozenset((one, other))

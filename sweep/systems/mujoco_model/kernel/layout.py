@@ -12,6 +12,14 @@ import numpy as np
 from sweep.core.errors import InputError
 from sweep.systems.mujoco_model.geom_pairs import may_touch
 from sweep.systems.mujoco_model.kernel.hulls import find_hull
+from sweep.systems.mujoco_model.kernel.links import (
+    CONNECT,
+    JOINT,
+    ON_TENDON,
+    TENDON,
+    has_spatial_tendons,
+    list_linked_joints,
+)
 
 FREE, BALL, SLIDE, HINGE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{one}")) for one in ("FREE", "BALL", "SLIDE", "HINGE"))
 GEOM = mujoco.mjtGeom
@@ -28,6 +36,8 @@ GROUND_SHAPES = {  # shapes of the robot whose contacts with a shape of the worl
 UNKNOWN_FIELDS = (
     "dof_dampingpoly",
     "jnt_stiffnesspoly",
+    "tendon_dampingpoly",
+    "tendon_stiffnesspoly",
     "actuator_damping",
     "actuator_dampingpoly",
     "actuator_armature",
@@ -91,6 +101,7 @@ class RobotLayout(NamedTuple):
     has_free_base: bool
     planes: tuple[CollisionPlane, ...]
     static_geoms: tuple[StaticGeom, ...]
+    inner_joints: dict[tuple[int, int], tuple[tuple[int, int], ...]]  # by joint, see `find_inner_joints`
 
     def base_dof_indices(self, model: mujoco.MjModel) -> np.ndarray:
         """Return the indices (6,) of the base's free degrees of freedom, linear then angular; (0,) for a fixed base."""
@@ -119,6 +130,53 @@ def find_layout(model: mujoco.MjModel) -> RobotLayout:
     """Group the bodies of a model into stacks of corresponding limb bodies. Raises `InputError` if the kernel cannot
     simulate the model."""
     require_supported_features(model)
+    links, apart = list_linked_joints(model), set()
+    while True:
+        layout = _group_bodies(model, apart)
+        linked = {body for joints in links for body in _find_linked_twins(layout, model, joints)}
+        if linked <= apart:
+            return layout._replace(inner_joints=find_inner_joints(layout, links))
+        apart |= linked
+
+
+def _find_linked_twins(layout: RobotLayout, model: mujoco.MjModel, joints: list[int]) -> set[int]:
+    """Bodies of stacks that a tendon or an equality constraint links with other limbs, so that they have no twins."""
+    places = [find_joint_member(layout, one) for one in joints]
+    wide = [(joint, member) for joint, member in places if layout.stacks[joint[0]].n > 1]
+    narrow = [joint for joint, _ in places if layout.stacks[joint[0]].n == 1]
+    is_within = len({member for _, member in wide}) < 2 and all(
+        one[0] in layout.ancestor_stacks(joint[0]) for joint, _ in wide for one in narrow
+    )
+    return set() if is_within else {int(layout.stacks[joint[0]].bodies[member]) for joint, member in wide}
+
+
+def find_inner_joints(
+    layout: RobotLayout, links: list[list[int]]
+) -> dict[tuple[int, int], tuple[tuple[int, int], ...]]:
+    """Return the joints that the equation of each joint has when all outer ones are eliminated, from the base outward.
+
+    They are those between it and the base, and others that tendons and equality constraints link with them.
+
+    Args:
+        layout: Stacks of like bodies of the robot.
+        links: Ids of the joints that each of these links.
+    """
+    order = layout.joints
+    meets = {joint: set(layout.moving_joints(joint[0])) & set(order[: order.index(joint)]) for joint in order}
+
+    def link(joints: set[tuple[int, int]]) -> None:
+        for outer in joints:
+            meets[outer] |= {inner for inner in joints if order.index(inner) < order.index(outer)}
+
+    for joints in links:
+        link({find_joint_member(layout, one)[0] for one in joints})
+    for joint in reversed(order):
+        link(meets[joint])
+    return {joint: tuple(sorted(inner, key=order.index)) for joint, inner in meets.items()}
+
+
+def _group_bodies(model: mujoco.MjModel, apart: set[int]) -> RobotLayout:
+    """Stacks of the bodies of a model, of which those `apart` are in stacks of their own."""
     planes, static_geoms = find_planes(model), find_static_geoms(model)
     ground = [one.geom for one in (*planes, *static_geoms)]
     children: dict[int, list[int]] = {b: [] for b in range(model.nbody)}
@@ -149,7 +207,7 @@ def find_layout(model: mujoco.MjModel) -> RobotLayout:
         kinds = tuple((int(model.jnt_type[j]), len(joint_actuators(model, j))) for j in own_joints(body))
         fields = model.geom_type, model.geom_condim, model.geom_priority
         shapes = tuple((*(int(one[g]) for one in fields), touched(g)) for g in touching(body))
-        return kinds, shapes, tuple(signature(child) for child in moving(children[body]))
+        return kinds, shapes, tuple(signature(child) for child in moving(children[body])), body if body in apart else 0
 
     def moving(bodies: list[int]) -> list[int]:
         return [b for b in bodies if model.body_weldid[b] or moving(children[b])]  # others belong to the world
@@ -189,7 +247,7 @@ def find_layout(model: mujoco.MjModel) -> RobotLayout:
                     add([one], place)
 
     add([base], -1)
-    return RobotLayout(tuple(stacks), group, bool(base), planes, static_geoms)
+    return RobotLayout(tuple(stacks), group, bool(base), planes, static_geoms, {})
 
 
 def find_stack_of_body(layout: RobotLayout, body: int) -> tuple[int, int]:
@@ -199,6 +257,30 @@ def find_stack_of_body(layout: RobotLayout, body: int) -> tuple[int, int]:
         if len(found):
             return s, int(found[0])
     raise unsupported_model_error(f"contacts, sensors or pushes of body number {body}, which does not move")
+
+
+def find_joint_member(layout: RobotLayout, joint: int) -> tuple[tuple[int, int], int]:
+    """Return a joint's key (index of its stack, number in it) and the index of its body in the stack.
+
+    Args:
+        layout: Stacks of like bodies of the robot.
+        joint: Id of the joint.
+
+    Raises:
+        InputError: The joint is the free one.
+    """
+    for s, k in layout.joints:
+        found = np.flatnonzero(layout.stacks[s].joints[k] == joint)
+        if len(found):
+            return (s, k), int(found[0])
+    raise unsupported_model_error("sensors, tendons or equality constraints of the free joint")
+
+
+def find_fixed_places(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions (b, 3) in m and axes (b, 3, 3) of all bodies in the reference configuration, world axes."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return data.xpos.copy(), data.xmat.reshape(-1, 3, 3).copy()
 
 
 def find_planes(model: mujoco.MjModel) -> tuple[CollisionPlane, ...]:
@@ -276,7 +358,8 @@ def touches_ground(model: mujoco.MjModel, geom: int, ground: int) -> bool:
 
 def joint_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
     """Return the actuators that drive a joint."""
-    return [k for k in range(model.nu) if model.actuator_trnid[k, 0] == joint]
+    mine = (model.actuator_trntype != ON_TENDON) & (model.actuator_trnid[:, 0] == joint)
+    return np.flatnonzero(mine).tolist()
 
 
 def unsupported_model_error(what: str) -> InputError:
@@ -288,7 +371,10 @@ def require_supported_features(model: mujoco.MjModel) -> None:
     """Raise `InputError` with the first feature of a model that the kernel does not simulate."""
     opt, jnt = model.opt, model.jnt_type
     on_joint = np.isin(model.actuator_trntype, [int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)])
-    driven = jnt[model.actuator_trnid[:, 0]] if on_joint.all() and model.nu else np.zeros(0, int)
+    driven = jnt[model.actuator_trnid[on_joint, 0]]
+    on_tendon = model.actuator_trntype == ON_TENDON
+    equalities = np.isin(model.eq_type, [CONNECT, JOINT, TENDON]) | (model.eq_active0 == 0)
+    odd = sorted({mujoco.mjtEq(int(kind)).name for kind in model.eq_type[~equalities]})
     gains = np.isin(model.actuator_gaintype, [int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)])
     biases = np.isin(model.actuator_biastype, [int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)])
     free = np.flatnonzero(jnt == FREE)
@@ -301,13 +387,14 @@ def require_supported_features(model: mujoco.MjModel) -> None:
     wrong = {
         "ball joints": (jnt == BALL).any(),
         "several free joints": len(free) > 1,
-        "tendons": model.ntendon,
-        "equality constraints": model.neq,
+        "spatial tendons": has_spatial_tendons(model),
+        "force ranges of tendons": model.tendon_actfrclimited.any(),
+        f"equality constraints of type {', '.join(odd)}": len(odd),
         "plugins": model.nplugin,
         "flexible bodies": model.nflex,
         "mocap bodies": model.nmocap,
         "solreffriction of explicit contact pairs": model.pair_solreffriction.any(),
-        "actuators that drive no joint": not on_joint.all(),
+        "actuators that drive neither a joint nor a tendon": not (on_joint | on_tendon).all(),
         "actuators of the free joint": (driven < SLIDE).any(),
         "actuators with activation": model.na,
         "gains or biases of actuators that are not affine": not (gains.all() and biases.all()),

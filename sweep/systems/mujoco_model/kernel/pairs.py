@@ -128,6 +128,12 @@ def moving_members(layout: RobotLayout, body: BodyMember) -> list[JointMember]:
     return [(j, body[1] if layout.stacks[j[0]].n > 1 else 0) for j in layout.moving_joints(body[0])]
 
 
+def inner_members(layout: RobotLayout, joint: JointMember) -> list[JointMember]:
+    """Return the joints with which a joint of a limb has an entry in the equations, from the base outward."""
+    inner = layout.inner_joints[joint[0]]
+    return [(one, joint[1] if layout.stacks[one[0]].n > 1 else 0) for one in inner]
+
+
 def joints_between(layout: RobotLayout, bodies: tuple[BodyMember, BodyMember]) -> tuple[list[JointMember], ...]:
     """Return the joints that move the first but not the second of two bodies, and the other way round."""
     one, other = (moving_members(layout, body) for body in bodies)
@@ -152,8 +158,7 @@ def order_elimination(
     meets: dict[Any, set] = {}
     for joint in layout.joints:
         for member in range(layout.stacks[joint[0]].n):
-            inner = moving_members(layout, (joint[0], member))
-            inner = inner[: inner.index((joint, member))]
+            inner = inner_members(layout, (joint, member))
             meets[joint, member] = {*inner, *base}
             for one in inner:
                 meets[one].add((joint, member))

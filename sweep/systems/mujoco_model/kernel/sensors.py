@@ -12,9 +12,10 @@ from sweep.systems.mujoco_model.kernel.layout import (
     HINGE,
     SPHERE,
     RobotLayout,
+    find_joint_member,
     find_stack_of_body,
-    unsupported_model_error,
 )
+from sweep.systems.mujoco_model.kernel.links import find_lever
 from sweep.systems.mujoco_model.kernel.numbers import ModelFieldValues
 from sweep.systems.mujoco_model.kernel.scalars import (
     NOTHING,
@@ -197,12 +198,8 @@ def _joint(read: Callable[[RobotState, tuple[int, int]], Scalar]) -> Callable[..
     def rule(
         layout: RobotLayout, numbers: ModelFieldValues, state: RobotState, result: StepResult, k: int
     ) -> list[Scalar]:
-        joint = int(numbers.model.sensor_objid[k])
-        for s, place in layout.joints:
-            ids = layout.stacks[s].joints[place]
-            if joint in ids:
-                return [read(state, (s, place)).stack_member(int(np.flatnonzero(ids == joint)[0]))]
-        raise unsupported_model_error("sensors of the free joint")
+        joint, member = find_joint_member(layout, int(numbers.model.sensor_objid[k]))
+        return [read(state, joint).stack_member(member)]
 
     return rule
 
@@ -214,9 +211,10 @@ def _actuator_force(
     model, joint = numbers.model, np.array([int(numbers.model.sensor_objid[k])])
     total = ZERO
     for drive in result.drives:
-        for place in np.flatnonzero(model.actuator_trnid[drive.actuators, 0] == joint[0]):
-            gear = numbers.get("actuator_gear", drive.actuators[place : place + 1], 0)
-            total = total + gear * drive.force.stack_member(int(place))
+        for place, actuator in enumerate(drive.actuators):
+            if lever := find_lever(model, int(actuator), int(joint[0])):
+                gear = numbers.get("actuator_gear", drive.actuators[place : place + 1], 0)
+                total = total + gear * drive.force.stack_member(place) * lever
     if model.jnt_actfrclimited[joint[0]]:
         total = clip(total, *(numbers.get("jnt_actfrcrange", joint, side) for side in range(2)))
     return [total]

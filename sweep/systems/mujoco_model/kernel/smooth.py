@@ -22,6 +22,7 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     rotate_to_world,
     scaled_identity,
 )
+from sweep.systems.mujoco_model.kernel.tendons import add_tendon_armature
 
 BASE = (0, -1)  # stands for the free joint where others have the index of a stack and a number in it
 UPRIGHT: Axes = (Vector(ONE, ZERO, ZERO), Vector(ZERO, ONE, ZERO), Vector(ZERO, ZERO, ONE))
@@ -199,6 +200,7 @@ def compute_smooth_terms(layout: RobotLayout, numbers: ModelFieldValues, state: 
             up = layout.stacks[stack.parent].n == 1 and stack.n > 1
             forces[stack.parent] += forces[s].sum_over_stack(stack.n) if up else forces[s]
             inertias[stack.parent] += inertias[s].sum_over_stack(stack.n) if up else inertias[s]
+    add_tendon_armature(layout, numbers, mass_matrix)
     whole = inertias[0]
     dofs = layout.base_dof_indices(numbers.model)
     if len(dofs) and numbers.may_be_nonzero("dof_armature", dofs):

@@ -15,6 +15,7 @@ from jaxtyping import Array
 from sweep.systems.mujoco_model.kernel.constraints import (
     Constraints,
     ContactHessian,
+    JointConstraint,
     contact_cost_hessian,
     contact_force,
     contact_frame_components,
@@ -40,7 +41,8 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     square_root,
     where,
 )
-from sweep.systems.mujoco_model.kernel.smooth import BASE, STILL, SmoothTerms, SpatialVector, list_ancestor_joints
+from sweep.systems.mujoco_model.kernel.smooth import BASE, STILL, SmoothTerms, SpatialVector
+from sweep.systems.mujoco_model.kernel.tendons import multiply_terms
 
 Joint = tuple[int, int]
 TRIALS = 20  # of a search for a step's length, at most; mostly one or two are enough
@@ -123,8 +125,8 @@ class StepProblem(NamedTuple):
         joints = {joint: SumOverLimbs() for joint in a.joints}
         for joint, rate in a.joints.items():
             n = self.count_limbs_with_joint(joint)
-            for inner in [*list_ancestor_joints(self.layout, joint), joint]:
-                entry = smooth.mass[inner, joint]
+            for inner in [*self.layout.inner_joints[joint], joint]:
+                entry = smooth.mass.get((inner, joint), ZERO)
                 joints[inner].add(entry * rate, n if self.count_limbs_with_joint(inner) == 1 else 1)
                 if inner != joint:
                     joints[joint].add(entry * a.joints[inner], 1)
@@ -159,10 +161,8 @@ class StepProblem(NamedTuple):
             if wanted:
                 given = tuple(x - y for x, y in zip(given, one.wanted, strict=True))
             pairs.append(given)
-        rows = []
-        for row in self.constraints.rows:
-            along = row.side * a.joints[row.joint] if row.direction is None else row.direction.dot(a.base)
-            rows.append(along - row.wanted if wanted else along)
+        along = [row.project(a.base, a.joints) for row in self.constraints.rows]
+        rows = [x - row.wanted if wanted else x for x, row in zip(along, self.constraints.rows, strict=True)]
         return Residuals(tuple(contacts), tuple(rows), tuple(pairs))
 
     def constraint_force(self, residuals: Residuals) -> Acceleration:
@@ -179,12 +179,11 @@ class StepProblem(NamedTuple):
                     n = self.layout.stacks[s].n if self.count_limbs_with_joint(joint) == 1 else 1
                     joints[joint].add(self.smooth.motions[joint].dot(part), n)
         for row, residual in zip(self.constraints.rows, residuals.rows, strict=True):
-            force = row.side * joint_constraint_force(row, residual)[0]
-            if row.direction is None:
-                joints[row.joint].add(force, 1)
-                continue
-            for total, part in zip(base, _parts(row.direction * force), strict=True):
-                total.add(part, 1)
+            force = joint_constraint_force(row, residual)[0]
+            for joint, factor in row.terms:
+                joints[joint].add(factor * force, row.n if self.count_limbs_with_joint(joint) == 1 else 1)
+            for total, part in zip(base, _parts((row.direction or STILL) * force), strict=True):
+                total.add(part, row.n)
         return Acceleration(_spatial([one.value for one in base]), {joint: one.value for joint, one in joints.items()})
 
     def _spread(
@@ -204,8 +203,9 @@ class StepProblem(NamedTuple):
         right: Acceleration,
         curves: list[ContactHessian] | None,
         stiff: dict[Joint, Scalar],
-        base_rows: Sequence[tuple[SpatialVector, Scalar]] = (),
+        rows: Sequence[tuple[JointConstraint, Scalar]] = (),
         pair_curves: Sequence[ContactHessian] = (),
+        damped: Sequence[tuple[tuple[Joint, Joint], Scalar, int]] = (),
     ) -> Acceleration:
         """Solve the linear system of a Newton step, (M + Jᵀ C J + diag) x = right, with contact Hessians C.
 
@@ -213,8 +213,9 @@ class StepProblem(NamedTuple):
             right: The right side.
             curves: C of each contact; None for none.
             stiff: What is added to the diagonal, by joint; of `BASE` for all six directions of the base.
-            base_rows: Directions of the base with the second derivatives of their costs.
+            rows: Rows of several joints or of the base, with the second derivatives of their costs.
             pair_curves: C of each row of pairs of the robot's geoms; empty for none.
+            damped: What is added to entries of joints (inner, outer), and of how many limbs each entry is the sum.
         """
         joints, has_base = [*self.force.joints], self.layout.has_free_base
         smooth = self.smooth
@@ -228,16 +229,15 @@ class StepProblem(NamedTuple):
                 for j, x in enumerate(row):
                     corner[i][j].add(x, 1)
                 corner[i][i].add(stiff.get(BASE, ZERO), 1)
-            for direction, bend in base_rows:
-                parts = _parts(direction)
-                for i, row in enumerate(corner):
-                    for j, total in enumerate(row):
-                        total.add(parts[i] * parts[j] * bend, 1)
         for joint in joints:
             side[joint] = [SumOverLimbs(x) for x in _parts(smooth.momenta[joint])] if has_base else []
-            for inner in list_ancestor_joints(self.layout, joint):
-                entries[inner, joint] = SumOverLimbs(smooth.mass[inner, joint])
+            for inner in self.layout.inner_joints[joint]:
+                entries[inner, joint] = SumOverLimbs(smooth.mass.get((inner, joint), ZERO))
             entries[joint, joint] = SumOverLimbs(smooth.mass[joint, joint] + stiff.get(joint, ZERO))
+        for row, bend in rows:
+            self._add_row(row, bend, corner, side, entries)
+        for both, number, limbs in damped:
+            entries[both].add(number, limbs)
         for one, curve in zip(self.constraints.contacts, curves or (), strict=curves is not None):
             self._add_contact(one, curve, corner, side, entries)
         if pair_curves:
@@ -255,7 +255,7 @@ class StepProblem(NamedTuple):
         base = [SumOverLimbs(x) for x in _parts(right.base)]
         inverse, low, low_base = {}, {}, {}
         for joint in reversed(joints):
-            n, inner = self.count_limbs_with_joint(joint), list_ancestor_joints(self.layout, joint)
+            n, inner = self.count_limbs_with_joint(joint), self.layout.inner_joints[joint]
             pivot = entries[joint, joint].value
             row = {one: entries[one, joint].value for one in inner}
             row_base = [one.value for one in side[joint]]
@@ -288,6 +288,20 @@ class StepProblem(NamedTuple):
                 x = x - factor * one
             found[joint] = x
         return Acceleration(_spatial(x_base) if has_base else STILL, found)
+
+    def _add_row(self, row: JointConstraint, bend: Scalar, corner: Any, side: Any, entries: Any) -> None:
+        """Add the square of a row of joints or of the base, times the second derivative of its cost."""
+        if row.direction is not None:
+            parts = _parts(row.direction)
+            for i, totals in enumerate(corner):
+                for j, total in enumerate(totals):
+                    total.add(parts[i] * parts[j] * bend, row.n)
+            for joint, factor in row.terms:
+                limbs = row.n if self.count_limbs_with_joint(joint) == 1 else 1
+                for total, part in zip(side[joint], parts, strict=True):
+                    total.add(part * factor * bend, limbs)
+        for both, product, limbs in multiply_terms(self.layout, row.terms, row.n):
+            entries[both].add(product * bend, limbs)
 
     def _add_contact(self, contact: Any, curve: ContactHessian, corner: Any, side: Any, entries: Any) -> None:
         """Add Jᵀ C J of a row of contacts."""
@@ -356,15 +370,16 @@ class StepProblem(NamedTuple):
             for both in ((constraints.contacts, residuals.contacts), (constraints.pairs, residuals.pairs))
         )
         stiff: dict[Joint, Scalar] = {}
-        base_rows = []
+        rows = []
         for row, residual in zip(self.constraints.rows, now.residuals.rows, strict=True):
             bend = joint_constraint_force(row, residual)[1]
-            if row.direction is None:
-                stiff[row.joint] = stiff.get(row.joint, ZERO) + bend
+            if row.is_unit and row.terms:
+                joint = row.terms[0][0]
+                stiff[joint] = stiff.get(joint, ZERO) + bend
             else:
-                base_rows.append((row.direction, bend))
+                rows.append((row, bend))
         left = self.force.minus(now.momentum)
-        way = self.solve_linear_system(left.add_scaled(ONE, now.pull), curves, stiff, base_rows, pair_curves)
+        way = self.solve_linear_system(left.add_scaled(ONE, now.pull), curves, stiff, rows, pair_curves)
         moved, changed = self.momentum(way), self.residuals(way, wanted=False)
         length = self._search(way, left, moved, now.residuals, changed)
         return self._iterate(
@@ -410,9 +425,8 @@ class StepProblem(NamedTuple):
                 second.add(b, n)
             for row, residual, change in zip(constraints.rows, residuals.rows, changed.rows, strict=True):
                 force, curve = joint_constraint_force(row, residual + length * change)
-                n = self.count_limbs_with_joint(row.joint)
-                first.add(-(force * change), n)
-                second.add(curve * change * change, n)
+                first.add(-(force * change), row.n)
+                second.add(curve * change * change, row.n)
             slope = slope_at_0 + length * bend_at_0 + first.value
             bend = bend_at_0 + second.value
             falls = slope < ZERO
@@ -439,7 +453,7 @@ class StepProblem(NamedTuple):
                 size = largest(change, -change)
                 moves = Scalar(1e-20) < size
                 place = -residual / where(moves, change, ONE)
-                found.append((place, where(moves, size * row.most, ZERO), self.count_limbs_with_joint(row.joint)))
+                found.append((place, where(moves, size * row.most, ZERO), row.n))
         return found
 
     def _choose_turn(self, turns: list[tuple[Scalar, Scalar, int]], shorter: Array, longer: Array) -> Any:

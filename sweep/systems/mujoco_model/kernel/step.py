@@ -15,6 +15,7 @@ from sweep.systems.mujoco_model.kernel.constraints import (
 )
 from sweep.systems.mujoco_model.kernel.ground import find_ground_contacts
 from sweep.systems.mujoco_model.kernel.layout import RobotLayout, joint_actuators
+from sweep.systems.mujoco_model.kernel.link_constraints import compute_link_constraints
 from sweep.systems.mujoco_model.kernel.numbers import ModelFieldValues
 from sweep.systems.mujoco_model.kernel.pairs import find_pair_contacts
 from sweep.systems.mujoco_model.kernel.scalars import (
@@ -43,6 +44,12 @@ from sweep.systems.mujoco_model.kernel.smooth import (
     point_force_wrench,
 )
 from sweep.systems.mujoco_model.kernel.solver import Acceleration, Iterate, Joint, StepProblem, solve_step_by_newton
+from sweep.systems.mujoco_model.kernel.tendons import (
+    TendonRow,
+    find_tendon_rows,
+    list_tendon_actuators,
+    multiply_terms,
+)
 
 IMPLICIT = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
 UNBALANCED = 0.01  # share of the forces that may be left over in a solved step, as for other engines
@@ -66,6 +73,13 @@ class StepResult(NamedTuple):
     solution: Iterate
     drives: tuple[ActuatorState, ...]
     is_unsolved: Any  # () bool
+
+
+class ImplicitDamping(NamedTuple):
+    """Damping that the integrator treats implicitly: how forces fall with rates."""
+
+    joints: dict[Joint, Scalar]  # of each joint, and of `BASE`
+    pairs: tuple[tuple[tuple[Joint, Joint], Scalar, int], ...]  # of tendons, see `StepProblem.solve_linear_system`
 
 
 class BodyPush(NamedTuple):
@@ -129,7 +143,7 @@ def compute_forces(
     smooth: SmoothTerms,
     ctrl: Array,
     pushes: tuple[BodyPush, ...],
-) -> tuple[Acceleration, dict[Joint, Scalar], tuple[ActuatorState, ...]]:
+) -> tuple[Acceleration, ImplicitDamping, tuple[ActuatorState, ...]]:
     """Compute all forces of a physics step except constraint forces.
 
     Args:
@@ -141,13 +155,25 @@ def compute_forces(
         pushes: Forces on bodies.
 
     Returns:
-        Generalized forces; the damping of each joint and of `BASE`, as far as the integrator treats it implicitly;
-        the actuators.
+        Generalized forces; the damping that the integrator treats implicitly; the actuators.
     """
     model = numbers.model
     is_implicit = model.opt.integrator == IMPLICIT
     damps_implicitly = is_implicit or not model.opt.disableflags & EXPLICIT
-    forces, damping, found = {}, {}, []
+    forces, damping, found, pairs = {}, {}, [], []
+    by_tendon: dict[Joint, tuple[Scalar, Scalar]] = {}  # forces of springs and dampers, and of actuators
+    for row in find_tendon_rows(layout, model):
+        passive, driven, drag, drives = _pull_tendons(numbers, row, state, ctrl)
+        found += drives
+        for joint, factor in row.terms:
+            limbs = row.n if layout.stacks[joint[0]].n == 1 else 1
+            pulls = (factor * passive, factor * driven)
+            pulls = [one.sum_over_stack(limbs) if limbs > 1 else one for one in pulls]
+            before = by_tendon.get(joint, (ZERO, ZERO))
+            by_tendon[joint] = before[0] + pulls[0], before[1] + pulls[1]
+        if is_implicit and not drag.is_exactly(0):
+            entries = multiply_terms(layout, row.terms, row.n)
+            pairs += [(both, product * drag, limbs) for both, product, limbs in entries if both in smooth.mass]
     for joint in layout.joints:
         ids = layout.stacks[joint[0]].joints[joint[1]]
         dofs, places = model.jnt_dofadr[ids], model.jnt_qposadr[ids]
@@ -164,6 +190,8 @@ def compute_forces(
             driven = driven + gear * drive.force
             if is_implicit:
                 soft = soft - gear * gear * velocity_gain
+        if joint in by_tendon:
+            passive, driven = passive + by_tendon[joint][0], driven + by_tendon[joint][1]
         limited = model.jnt_actfrclimited[ids].astype(bool)
         if limited.any():
             low, high = (numbers.get("jnt_actfrcrange", ids, k) for k in range(2))
@@ -189,7 +217,27 @@ def compute_forces(
             pull = smooth.motions[joint].dot(wrench)
             wide = stack.n > 1 and layout.stacks[joint[0]].n == 1
             forces[joint] = forces[joint] + (pull.sum_over_stack(stack.n) if wide else pull)
-    return Acceleration(base, forces), damping, tuple(found)
+    return Acceleration(base, forces), ImplicitDamping(damping, tuple(pairs)), tuple(found)
+
+
+def _pull_tendons(
+    numbers: ModelFieldValues, row: TendonRow, state: RobotState, ctrl: Array
+) -> tuple[Scalar, Scalar, Scalar, list[ActuatorState]]:
+    """Forces of tendons by springs and dampers, and by actuators; how both fall with their rates; and the actuators."""
+    model, ids = numbers.model, row.ids
+    length, rate = row.combine(state.angles), row.combine(state.rates)
+    drag, driven, found = numbers.get("tendon_damping", ids), ZERO, []
+    passive = -(drag * rate)
+    if numbers.may_be_nonzero("tendon_stiffness", ids):
+        low, high = (numbers.get("tendon_lengthspring", ids, k) for k in range(2))
+        stretch = largest(length - high, 0.0) + smallest(length - low, 0.0)
+        passive = passive - numbers.get("tendon_stiffness", ids) * stretch
+    for acting in zip(*(list_tendon_actuators(model, int(one)) for one in ids), strict=True):
+        drive, gear, velocity_gain = _drive(numbers, np.array(acting), length, rate, ctrl)
+        found.append(drive)
+        driven = driven + gear * drive.force
+        drag = drag - gear * gear * velocity_gain
+    return passive, driven, drag, found
 
 
 def _drive(
@@ -257,8 +305,10 @@ def step(
     acceleration = solution.acceleration
     total = problem.force.add_scaled(ONE, solution.pull)
     moved = acceleration
-    if not all(one.is_exactly(0) for one in damping.values()):
-        moved = problem.solve_linear_system(total, None, {joint: one * h for joint, one in damping.items()})
+    if damping.pairs or not all(one.is_exactly(0) for one in damping.joints.values()):
+        soft = {joint: one * h for joint, one in damping.joints.items()}
+        pairs = [(both, number * h, limbs) for both, number, limbs in damping.pairs]
+        moved = problem.solve_linear_system(total, None, soft, damped=pairs)
     rates = {joint: rate + moved.joints[joint] * h for joint, rate in state.rates.items()}
     angles = {joint: angle + rates[joint] * h for joint, angle in state.angles.items()}
     if not layout.has_free_base:
@@ -288,14 +338,17 @@ def compute_forward_dynamics(
     ctrl: Array,
     pushes: tuple[BodyPush, ...],
     iterations: int,
-) -> tuple[StepResult, dict[Joint, Scalar]]:
-    """Compute the accelerations of a state under all forces, and the damping of each joint."""
+) -> tuple[StepResult, ImplicitDamping]:
+    """Compute the accelerations of a state under all forces, and the damping that the integrator needs."""
     smooth = compute_smooth_terms(layout, numbers, state)
     force, damping, drives_ = compute_forces(layout, numbers, state, smooth, ctrl, pushes)
     contacts = find_contacts(layout, numbers, state, smooth)
     others, unsure = find_ground_contacts(layout, numbers, state, smooth)
     pairs = find_pair_contacts(layout, numbers, smooth)
-    rows = tuple(compute_joint_constraints(layout, numbers, state))
+    rows = (
+        *compute_joint_constraints(layout, numbers, state),
+        *compute_link_constraints(layout, numbers, state, smooth),
+    )
     constraints = Constraints((*contacts, *others), rows, numbers.model.opt.cone == ELLIPTIC, tuple(pairs))
     problem = StepProblem(layout, smooth, constraints, force)
     warm = Acceleration(state.warm_base, state.warm)

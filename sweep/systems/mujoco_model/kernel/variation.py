@@ -12,7 +12,16 @@ from sweep.systems.mujoco_model import fields
 from sweep.systems.mujoco_model.payloads import PREFIX, Payload
 
 COMPILED = ("geom_size", "geom_pos", "body_mass", "body_inertia", "body_ipos", "body_iquat")  # from sizes of geoms
-FORMING = {"body_mass", "body_inertia", "body_pos", "body_ipos", "body_iquat", "dof_armature", "jnt_pos"}
+FORMING = {
+    "body_mass",
+    "body_inertia",
+    "body_pos",
+    "body_ipos",
+    "body_iquat",
+    "dof_armature",
+    "jnt_pos",
+    "tendon_armature",
+}
 DERIVED = ("body_invweight0", "dof_invweight0")  # what follows from them, and the kernel reads
 
 
@@ -54,6 +63,6 @@ def find_varied_elements(
         for field in ("body_inertia", "body_pos"):
             mark(field, *range(3 * body, 3 * body + 3))
     if FORMING & set(found):
-        for field in DERIVED:
+        for field in (*DERIVED, *(("tendon_invweight0",) if model.ntendon else ())):
             mark(field)
     return found
