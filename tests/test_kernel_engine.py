@@ -72,6 +72,8 @@ LOOP = (
     '<equality><connect body1="shank" body2="trunk" anchor="0.02 0.01 -0.1"/>'
     '<connect site1="eye" site2="post" solref="0.1 1"/></equality>'
 )
+HEIGHTS = " ".join(f"{x:.3f}" for x in np.random.default_rng(1).random(17 * 21))
+HILLS = f'<hfield name="hills" nrow="17" ncol="21" size="1 0.8 0.04 0.1" elevation="{HEIGHTS}"/>'
 SLIDE = (
     '<body pos="0 0 -.2"><joint type="slide" axis="0 0.1 1" range="-.05 .05" stiffness="300" springref="0.01"/>'
     f'<geom type="sphere" size=".03" mass=".2" {TOUCHES} solmix="2" solref="-2000 -60"/></body>'
@@ -167,6 +169,10 @@ MODELS = {
     "feet that are meshes": robot(limbs(LEG[:1], ROUND.format('type="mesh" mesh="wedge" euler="5 3 0"'), "ab")).replace(
         "<worldbody>", f"<asset>{WEDGE}</asset><worldbody>"
     ),
+    "balls on hills": robot(limbs(LEG[:1], FOOT.replace('margin="0.003"', ""), "ab"), 'cone="elliptic"')
+    .replace(TOUCHES, 'conaffinity="0" contype="0"', 1)
+    .replace("<worldbody>", f"<asset>{HILLS}</asset><worldbody>")
+    .replace('type="plane" size="0 0 .1"', 'type="hfield" hfield="hills" pos="0.01 0.02 0" euler="2 1 5"'),
     "fixed base, frictionless bars": robot(limbs(LEG, BAR), base="", plane='condim="1"'),
 }
 

@@ -35,7 +35,12 @@ from sweep.systems.mujoco_model.engine import (
     print_note_once,
 )
 from sweep.systems.mujoco_model.kernel import agreement, guard, sensors
-from sweep.systems.mujoco_model.kernel.layout import find_layout, find_stack_of_body, unsupported_model_error
+from sweep.systems.mujoco_model.kernel.layout import (
+    HFIELD,
+    find_layout,
+    find_stack_of_body,
+    unsupported_model_error,
+)
 from sweep.systems.mujoco_model.kernel.numbers import ModelFieldValues
 from sweep.systems.mujoco_model.kernel.scalars import Scalar, Vector, flatten_scalars, stack_scalars
 from sweep.systems.mujoco_model.kernel.smooth import compute_smooth_terms
@@ -52,6 +57,7 @@ from sweep.systems.mujoco_model.kernel.variation import find_varied_elements
 from sweep.systems.mujoco_model.model_spec import ModelSpec, ParameterOverrides
 from sweep.systems.mujoco_model.policy import ControllerBatch
 
+HEIGHTS = "hfield_data"  # MuJoCo's name of the heights of all height fields
 LEAST_ITERATIONS = 30  # of Newton's method, at most: models for MJX often have one, which solves no step
 FORCED = {
     int(getattr(mujoco.mjtSensor, f"mjSENS_{name}"))
@@ -107,6 +113,8 @@ class KernelModelEngine(ModelEngine):
     def __init__(self, spec: ModelSpec, settings: EngineSettings):
         if spec.config.data:
             raise unsupported_model_error("arrays of mjData (model.data)")
+        if spec.config.terrain:
+            raise unsupported_model_error("terrain that replaces the floor (model.terrain)")
         self._layout = find_layout(spec.model)
         if spec.actuator_networks:
             raise unsupported_model_error("learned actuator networks")
@@ -346,8 +354,10 @@ class KernelModelEngine(ModelEngine):
                       zeros((n, model.nu)), observable, zeros((n, model.nu)), extra, zeros((n, model.nu)),
                       np.zeros(n, np.int32), ticks, *(np.zeros(n, bool) for _ in range(3)))  # fmt: skip
         varied = self._find_varied(world)
+        heights = np.broadcast_to(model.hfield_data, (n, *model.hfield_data.shape))
         rows = {
-            name: number(np.reshape(begun.batch.expand(name), (n, *np.shape(mask)))) for name, mask in varied.items()
+            name: number(np.reshape(heights if name == HEIGHTS else begun.batch.expand(name), (n, *np.shape(mask))))
+            for name, mask in varied.items()
         }
         acting = jax.tree.map(lambda one: one if one.dtype.kind == "i" else number(one), begun.acting)
         limits = {name: number(one) for name, one in begun.limits.items()}
@@ -356,7 +366,10 @@ class KernelModelEngine(ModelEngine):
 
     def _find_varied(self, world: ParameterOverrides) -> dict[str, np.ndarray]:
         paths = fields.select_batchable_values(self._model, self._spec.select_model_values(world))
-        return find_varied_elements(self._model, paths, self._spec.payloads)
+        varied = find_varied_elements(self._model, paths, self._spec.payloads)
+        if any(one.kind == HFIELD for one in self._layout.static_geoms):
+            varied[HEIGHTS] = np.ones(self._model.nhfielddata, bool)  # read at places that only a rollout knows
+        return varied
 
     def _compile(self, varied: Any, inputs: KernelInputs, carry: KernelCarry, n: int, ticks: int, room: int) -> Any:
         """Compile the kernel for batches of a form: `Kernel` on a CPU, `Ptx` on a GPU."""

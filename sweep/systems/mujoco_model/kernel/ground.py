@@ -21,11 +21,13 @@ from sweep.systems.mujoco_model.kernel.constraints import (
     make_plane_tangents,
     make_tangents,
 )
+from sweep.systems.mujoco_model.kernel.height_fields import find_field_contacts
 from sweep.systems.mujoco_model.kernel.hulls import MOST_CORNERS, MeshHull, find_hull
 from sweep.systems.mujoco_model.kernel.layout import (
     BOX,
     CYLINDER,
     ELLIPSOID,
+    HFIELD,
     MESH,
     SPHERE,
     BodyStack,
@@ -34,6 +36,7 @@ from sweep.systems.mujoco_model.kernel.layout import (
     StaticGeom,
     simulates_shapes,
     touches_ground,
+    unsupported_model_error,
 )
 from sweep.systems.mujoco_model.kernel.numbers import ModelFieldValues
 from sweep.systems.mujoco_model.kernel.pairs import describe_law_form, find_nearest_points
@@ -107,8 +110,13 @@ def find_ground_contacts(
                         )
                     )
             for alike in _find_alike(layout, numbers, geoms):
-                nearest = [_find_nearest(numbers, state, smooth, s, geoms, one, unsure) for one in alike]
-                for one in _select_nearest(nearest, unsure, numbers, geoms, alike[0].geom):
+                fields = [one for one in alike if one.kind == HFIELD]
+                others = [one for one in alike if one.kind != HFIELD]
+                nearest = [_find_nearest(numbers, state, smooth, s, geoms, one, unsure) for one in others]
+                chosen = _select_nearest(nearest, unsure, numbers, geoms, alike[0].geom)
+                for field in fields:
+                    chosen += _find_nearest_of_field(numbers, state, smooth, s, geoms, field, unsure)
+                for one in chosen:
                     frame = (one.normal, *make_tangents(one.normal))
                     found.append(
                         make_ground_contacts(
@@ -221,6 +229,33 @@ def _find_alike(layout: RobotLayout, numbers: ModelFieldValues, geoms: np.ndarra
             forms = tuple(describe_law_form(model, int(geom), one.geom) for geom in geoms)
             found.setdefault((own, forms), []).append(one)
     return list(found.values())
+
+
+def _find_nearest_of_field(
+    numbers: ModelFieldValues,
+    state: RobotState,
+    smooth: SmoothTerms,
+    s: int,
+    geoms: np.ndarray,
+    ground: StaticGeom,
+    unsure: list[Any],
+) -> list[Nearest]:
+    """Where spheres of the robot are nearest to the prisms of a height field."""
+    radius = numbers.get("geom_size", geoms, 0)
+    if not radius.is_constant or numbers.is_varied("geom_pos", np.array([ground.geom])):
+        raise unsupported_model_error("radii over height fields, and places of height fields, that differ")
+    centre, _ = _locate(numbers, smooth, s, geoms)
+    own = constant_vector(ground.axes[:, 0]), constant_vector(ground.axes[:, 1]), constant_vector(ground.axes[:, 2])
+    local = rotate_to_body(own, centre + state.position - constant_vector(ground.position))
+    contacts, is_unsure = find_field_contacts(numbers, ground.geom, local, radius)
+    unsure.append(is_unsure)
+    found = []
+    for one in contacts:
+        length = square_root(one.square)
+        normal = rotate_to_world(own, one.gap * (1 / largest(length, TINY)))
+        distance = length - radius
+        found.append(Nearest(distance, centre - normal * (radius + distance * 0.5), normal))
+    return found
 
 
 def _find_nearest(

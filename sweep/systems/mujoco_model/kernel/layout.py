@@ -32,6 +32,7 @@ GROUND_SHAPES = {  # shapes of the robot whose contacts with a shape of the worl
     SPHERE: (SPHERE, CAPSULE),
     CAPSULE: (SPHERE, CAPSULE),
     BOX: (SPHERE,),
+    HFIELD: (SPHERE,),
 }
 UNKNOWN_FIELDS = (
     "dof_dampingpoly",
@@ -85,7 +86,7 @@ class CollisionPlane(NamedTuple):
 
 
 class StaticGeom(NamedTuple):
-    """A sphere, capsule or box of the world that spheres or capsules of the robot may touch."""
+    """A sphere, capsule, box or height field of the world that spheres or capsules of the robot may touch."""
 
     geom: int  # id
     kind: int  # shape
@@ -294,11 +295,11 @@ def find_planes(model: mujoco.MjModel) -> tuple[CollisionPlane, ...]:
 
 
 def find_static_geoms(model: mujoco.MjModel) -> tuple[StaticGeom, ...]:
-    """Return the spheres, capsules and boxes of the world with which geoms may collide, with their poses."""
+    """Return the spheres, capsules, boxes and height fields of the world that geoms may touch, with their poses."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     is_static = (model.body_weldid[model.geom_bodyid] == 0) & _may_collide(model)
-    found = np.flatnonzero(is_static & np.isin(model.geom_type, [SPHERE, CAPSULE, BOX]))
+    found = np.flatnonzero(is_static & np.isin(model.geom_type, [SPHERE, CAPSULE, BOX, HFIELD]))
     axes = data.geom_xmat.reshape(-1, 3, 3)
     axes[np.abs(axes) < 1e-15] = 0  # so that constants fold
     kinds = model.geom_type
@@ -381,7 +382,6 @@ def require_supported_features(model: mujoco.MjModel) -> None:
     first = model.jnt_dofadr[free[0]] if len(free) else 0
     of_base = slice(first, first + 6 * len(free))
     integrators = [int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)]
-    fields = np.flatnonzero((model.geom_type == HFIELD) & _may_collide(model))
     disabled = int(opt.disableflags) & ~sum(int(one) for one in ALLOWED_FLAGS)
     other = [name for name in UNKNOWN_FIELDS if np.any(getattr(model, name, 0))]
     wrong = {
@@ -405,7 +405,8 @@ def require_supported_features(model: mujoco.MjModel) -> None:
         "gravity compensation": model.body_gravcomp.any(),
         "noslip iterations": opt.noslip_iterations,
         f"the integrator {mujoco.mjtIntegrator(int(opt.integrator)).name}": int(opt.integrator) not in integrators,
-        f"geom {model.geom(fields[0]).name or fields[0]}, which is a height field" if len(fields) else "": len(fields),
+        "height fields of moving bodies": (model.body_weldid[model.geom_bodyid[model.geom_type == HFIELD]] != 0).any(),
+        "margins of contacts beside height fields": (model.geom_type == HFIELD).any() and model.geom_margin.any(),
         "disabled features of MuJoCo": disabled,
         "override of contacts or forward-inverse comparison": int(opt.enableflags)
         & ~int(mujoco.mjtEnableBit.mjENBL_ENERGY),

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 
@@ -37,6 +38,17 @@ class ModelFieldValues:
             return Scalar(self._rows[name][place])
         known = np.asarray(fields.field_values(self.model, name), float)[place]
         return Scalar(known if np.ndim(known) else float(known))
+
+    def look_up(self, name: str, place: Any) -> Scalar:
+        """Return numbers of a model field (k,) at places that a rollout computes.
+
+        Args:
+            name: MuJoCo's name of the field.
+            place: Their indices, as numbers of floating point.
+        """
+        self.read.add(name)
+        values = self._rows[name] if name in self._varied else jnp.asarray(getattr(self.model, name), place.dtype)
+        return Scalar(values.at[place.astype(jnp.int32)].get(mode="promise_in_bounds"))
 
     def is_varied(self, name: str, place: Any) -> bool:
         """Return whether elements of a model field, given by an index of its array, differ between rollouts."""

@@ -1,5 +1,7 @@
 """One physics step of MuJoCo: forces, accelerations under constraints, and Euler's or the implicit fast integrator."""
 
+import operator
+from functools import reduce
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -73,6 +75,7 @@ class StepResult(NamedTuple):
     solution: Iterate
     drives: tuple[ActuatorState, ...]
     is_unsolved: Any  # () bool
+    is_unsure: Any = False  # () bool, whether there is a contact that the kernel does not simulate
 
 
 class ImplicitDamping(NamedTuple):
@@ -354,6 +357,8 @@ def compute_forward_dynamics(
     warm = Acceleration(state.warm_base, state.warm)
     solution = solve_step_by_newton(problem, warm, iterations)
     is_unsolved = Scalar(UNBALANCED) < solution.error
-    for flag in (*unsure, *(one.is_unsure for one in pairs)):
+    flags = [*unsure, *(one.is_unsure for one in pairs)]
+    for flag in flags:
         is_unsolved = is_unsolved | flag
-    return StepResult(smooth, problem, solution, drives_, is_unsolved), damping
+    is_unsure = reduce(operator.or_, flags, jnp.asarray(False))
+    return StepResult(smooth, problem, solution, drives_, is_unsolved, is_unsure), damping
