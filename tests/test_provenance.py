@@ -62,6 +62,14 @@ def test_what_judges_and_searches_a_plan_is_in_the_version_of_a_search(monkeypat
         assert provenance.plan_search_version.__wrapped__() != version, edited
 
 
+def test_every_module_that_stores_programs_is_in_their_version():
+    """Else programs of an older version of the code would be loaded."""
+    files = provenance.SOURCE_FOLDER.rglob("*.py")
+    stores = {file for file in files if "program_cache.load_or_compile(" in file.read_text()}
+    assert len(stores) > 3
+    assert stores <= set(provenance.list_source_files(provenance.PROGRAM_MODULES))
+
+
 def test_every_module_that_a_worker_runs_is_in_the_version_of_the_code(monkeypatch):
     loaded = subprocess.run([sys.executable, "-c", WORKER], check=True, capture_output=True, text=True).stdout.split()
     sources = provenance.list_source_files(provenance.WORKER_MODULES)

@@ -21,7 +21,11 @@ from sweep.core.version import PROCESS_START_S
 
 SOURCE_FOLDER = Path(__file__).parents[1]
 WORKER_MODULES = ("sweep.runs.runner",)  # what it imports can change a row
-PROGRAM_MODULES = ("sweep.engines", "sweep.manoeuvres")  # what they import can change a compiled program
+PROGRAM_MODULES = (
+    "sweep.engines",
+    "sweep.manoeuvres",
+    "sweep.systems.mujoco_model.kernel_engine",
+)  # what they import can change a compiled program
 SEARCH_MODULES = (
     *WORKER_MODULES,
     "sweep.runs.tuning",

@@ -7,12 +7,21 @@ that a sphere overlaps has a contact of its own, at the point of the prism neare
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 
 from sweep.systems.mujoco_model.kernel.numbers import ModelFieldValues
-from sweep.systems.mujoco_model.kernel.scalars import ONE, ZERO, Scalar, Vector, clip, smallest, where
+from sweep.systems.mujoco_model.kernel.scalars import (
+    ONE,
+    ZERO,
+    Scalar,
+    Vector,
+    clip,
+    round_down,
+    round_up,
+    smallest,
+    where,
+)
 
 FAR = 1e6  # m^2, of a prism that does not count
 MOST_PRISMS = 6  # that a sphere touches at once: as many meet in a point of the grid
@@ -67,7 +76,7 @@ def find_field_contacts(
     firsts, inside = [], []  # first cell along each axis; whether each of the cells counts, from there
     for k, x in enumerate((centre.x, centre.y)):
         low, high = ((x + radius * sign + float(grid.half[k])) * float(1 / grid.step[k]) for sign in (-1.0, 1.0))
-        low, high = _map(jnp.floor, low), _map(jnp.ceil, high)
+        low, high = round_down(low), round_up(high)
         last = float(grid.counts[k] - 1)
         firsts.append(low)
         inside.append([~(low + i < ZERO) & (low + i < high) & (low + i < last) for i in range(grid.cells[k])])
@@ -111,16 +120,12 @@ def find_field_contacts(
     return kept, unsure.any()
 
 
-def _map(function: Any, number: Scalar) -> Scalar:
-    return Scalar(function(number.value))
-
-
 def _read_height(numbers: ModelFieldValues, geom: int, grid: FieldGrid, row: Scalar, column: Scalar) -> Scalar:
     """Heights of points of the grid, m; those beside it have that of the nearest one."""
     model = numbers.model
     field = int(model.geom_dataid[geom])
     row, column = (clip(one, 0.0, float(n - 1)) for one, n in ((row, grid.counts[1]), (column, grid.counts[0])))
-    place = (row * float(grid.counts[0]) + column + float(model.hfield_adr[field])).value
+    place = row * float(grid.counts[0]) + column + float(model.hfield_adr[field])
     return numbers.look_up("hfield_data", place) * float(model.hfield_size[field, 2])
 
 

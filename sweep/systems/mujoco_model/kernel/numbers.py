@@ -3,12 +3,18 @@
 from collections.abc import Mapping
 from typing import Any
 
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 
 from sweep.systems.mujoco_model import fields
-from sweep.systems.mujoco_model.kernel.scalars import Scalar, Vector, largest, quaternion_axes, rotation_matrix
+from sweep.systems.mujoco_model.kernel.scalars import (
+    Scalar,
+    Vector,
+    largest,
+    look_up_number,
+    quaternion_axes,
+    rotation_matrix,
+)
 
 
 class ModelFieldValues:
@@ -39,16 +45,15 @@ class ModelFieldValues:
         known = np.asarray(fields.field_values(self.model, name), float)[place]
         return Scalar(known if np.ndim(known) else float(known))
 
-    def look_up(self, name: str, place: Any) -> Scalar:
+    def look_up(self, name: str, place: Scalar) -> Scalar:
         """Return numbers of a model field (k,) at places that a rollout computes.
 
         Args:
             name: MuJoCo's name of the field.
-            place: Their indices, as numbers of floating point.
+            place: Their indices, whole numbers within the field.
         """
         self.read.add(name)
-        values = self._rows[name] if name in self._varied else jnp.asarray(getattr(self.model, name), place.dtype)
-        return Scalar(values.at[place.astype(jnp.int32)].get(mode="promise_in_bounds"))
+        return look_up_number(self._rows[name] if name in self._varied else getattr(self.model, name), place)
 
     def is_varied(self, name: str, place: Any) -> bool:
         """Return whether elements of a model field, given by an index of its array, differ between rollouts."""

@@ -156,6 +156,22 @@ def square_root(number: Operand) -> Scalar:
     return Scalar(np.sqrt(number.value) if number.is_constant else jnp.sqrt(number.value))
 
 
+def round_down(number: Scalar) -> Scalar:
+    """Return the largest whole number that is not above a computed number of the kernel's program."""
+    return Scalar(jnp.floor(number.value))
+
+
+def round_up(number: Scalar) -> Scalar:
+    """Return the smallest whole number that is not below a computed number of the kernel's program."""
+    return Scalar(jnp.ceil(number.value))
+
+
+def look_up_number(values: Any, place: Scalar) -> Scalar:
+    """Return the numbers of an array (k,) at computed places, which are whole numbers within it."""
+    table = jnp.asarray(values, place.value.dtype)
+    return Scalar(table.at[place.value.astype(jnp.int32)].get(mode="promise_in_bounds"))
+
+
 class Vector(NamedTuple):
     """A 3-vector of numbers in the kernel's program, with constants folded at compile time."""
 
