@@ -23,7 +23,7 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     where,
 )
 
-FAR = 1e6  # m^2, of a prism that does not count
+FAR_SQUARE = 1e12  # m^2, of a prism that does not count
 MOST_PRISMS = 6  # that a sphere touches at once: as many meet in a point of the grid
 
 
@@ -97,7 +97,7 @@ def find_field_contacts(
         return sides[ends]
 
     kept: list[FieldContact] = []
-    left, buried = Scalar(FAR), []
+    left, buried = Scalar(FAR_SQUARE), []
     for j in range(grid.cells[1]):
         for i in range(grid.cells[0]):
             a, b, c, d = (j, i), (j + 1, i), (j + 1, i + 1), (j, i + 1)
@@ -106,7 +106,7 @@ def find_field_contacts(
                 one, is_inside = _nearest_of_prism([arms[j][i] for j, i in corners], edges, grid, corners[1] == b)
                 counts = inside[0][i] & inside[1][j]
                 buried.append(is_inside & counts)
-                rest = one._replace(square=where(counts, one.square, FAR))
+                rest = one._replace(square=where(counts, one.square, FAR_SQUARE))
                 for k, other in enumerate(kept):
                     is_nearer = rest.square < other.square
                     kept[k], rest = _choose(is_nearer, rest, other), _choose(is_nearer, other, rest)
@@ -174,7 +174,7 @@ def _nearest_of_prism(
 
     gap = Vector(-(along_x * share), -(along_y * share), share)
     is_face = is_within(first.x - gap.x, first.y - gap.y)
-    best = FieldContact(where(is_face, gap.dot(gap), FAR), gap)
+    best = FieldContact(where(is_face, gap.dot(gap), FAR_SQUARE), gap)
     for side in sides:
         best = _choose(side.square < best.square, side, best)
     return best, is_within(first.x, first.y) & ~(height > ZERO)
