@@ -1,6 +1,6 @@
 """Rows of a CPU and a GPU that are equal to the last bit: `python bench/device_bits.py [SCENARIO...]`.
 
-It writes research/data/device_bits.json, which research/reliability.md cites; scenarios of another call stay in it.
+It writes research/data/device_bits.json, which research/decisions.md cites; scenarios of another call stay in it.
 First, single functions of a kernel are evaluated on both devices, and results that differ are counted. Then each
 scenario is simulated with random errors on both devices, in several ways, of which each removes a difference between
 their programs: plans on the host (else XLA computes plans, start states and final metrics of a GPU), no fused
@@ -24,12 +24,12 @@ import pandas as pd
 import shared
 from reproducibility import bit_equal
 
+from sweep.analysis import compare
 from sweep.backends.run_id import describe_device
 from sweep.contract.engine_settings import EngineSettings
 from sweep.core.provenance import version_record
 from sweep.fused import lanes
 from sweep.runs import store
-from sweep.study.columns import metric_columns
 
 SCENARIOS = ("walk_tripod", "pole_climb", "ball_balance")
 ROWS, WATCHED = int(os.environ.get("BITS_ROWS", "4096")), 64  # rollouts, and those with histories
@@ -208,10 +208,9 @@ def recorded_columns(scenario: str) -> list[str]:
 
 def compare_rows(a: Path, b: Path) -> tuple[int, int, int]:
     """Count bit-equal rows and equal outcomes of two folders, and all rows."""
-    first, second = (store.read_rows(folder).set_index("point_id").sort_index() for folder in (a, b))
-    names = metric_columns(first)
-    equal = bit_equal(first[names], second[names]).all(axis=1)
-    return int(equal.sum()), int((first["outcome"] == second["outcome"]).sum()), len(first)
+    pairs = compare.pair_rows(*(store.read_rows(folder) for folder in (a, b)))
+    alike = ~compare.outcome_change_mask(pairs)
+    return int((compare.bit_equal_mask(pairs) & alike).sum()), int(alike.sum()), len(pairs)
 
 
 def read_histories(folder: Path) -> pd.DataFrame:

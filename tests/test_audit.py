@@ -7,6 +7,7 @@ from small_study import one_line
 from sweep.analysis import compare
 from sweep.cli import certification
 from sweep.cli.main import main
+from sweep.core.errors import InputError
 from sweep.report import engine_agreement, figures, page
 from sweep.runs import audit, results, store
 from sweep.systems.hexapod import AUDIT_VARIANTS
@@ -123,6 +124,15 @@ class EngineOfItsOwn(FakeEngine):
         return figures | {"tilt_max_deg": np.where(friction < 5 * ratio, 40.0, 1.0), "slip_max_m": 0 * friction}
 
 
+class RefusingEngine(FakeEngine):
+    """`native` refuses every model, as an engine that is not installed does when it is made."""
+
+    def __init__(self, settings, world, belief, limits):
+        if settings.name == "native":
+            raise InputError("engine.name = native is not allowed: it needs its extra")
+        super().__init__(settings, world, belief, limits)
+
+
 DRAWN = """scenario: walk_tripod
 study:
   replays: 0
@@ -180,6 +190,25 @@ def test_rows_on_which_engines_differ_are_those_between_their_boundaries(fake_en
         one_line(capsys.readouterr().err, message)
     assert main(["relabel", str(tmp_path), "tilt_max_deg<50"]) == 0  # verdicts hold for the thresholds of before
     assert "engines_agree" not in store.read_rows(tmp_path)
+    assert main(["verify", str(tmp_path)]) == 0
+
+
+@pytest.mark.parametrize("fake_engine", [RefusingEngine], indirect=True)
+def test_an_engine_that_refuses_the_model_is_left_out_of_all_and_ends_an_audit_that_names_it(
+    fake_engine, tmp_path, capsys
+):
+    few = ["study.axes.friction.num=5", "study.axes.step.num=4", "study.expect=[]"]
+    assert main(["run", "study=walk_map", *few, f"out={tmp_path}"]) == 0
+    for engines, lines in (
+        ("native", ["sweep: engine.name = native is not allowed: it needs its extra"]),
+        ("all", ["sweep: audit: native is left out: engine.name = native is not allowed: it needs its extra",
+                 "sweep: no engine but mjx can simulate these rows"]),
+    ):  # fmt: skip
+        capsys.readouterr()
+        assert main(["audit", str(tmp_path), "--engines", engines, "--most", "4"]) == 2
+        assert capsys.readouterr().err.splitlines() == lines
+    assert main(["audit", str(tmp_path), "--points", "2"]) == 0  # of its ways other_engine is left out
+    assert "audit: other_engine is left out: engine.name = native is not allowed" in capsys.readouterr().err
     assert main(["verify", str(tmp_path)]) == 0
 
 

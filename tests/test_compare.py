@@ -104,7 +104,11 @@ def test_another_controller_is_paired_by_what_both_vary():
 def test_drift_is_typical_and_relative():
     a = rows_of("sssf", slip_max_m=[1.0, 2.0, 3.0, 4.0], energy_j=[0.0, 0.0, 0.0, 1.0])
     b = rows_of("sssi", slip_max_m=[1.1, 2.2, 3.3, 900.0], energy_j=[0.0, 0.0, 0.0, 1.0])
-    drift = compare.relative_metric_changes(compare.pair_rows(a, b))
+    drift = compare.relative_metric_changes(pairs := compare.pair_rows(a, b))
+    assert not compare.bit_equal_mask(pairs).any()
+    twin = a.assign(slip_max_m=[1.0, np.nextafter(2.0, 3), np.nan, 4.0])
+    twins = compare.pair_rows(a.assign(slip_max_m=[1.0, 2.0, np.nan, 4.0]), twin)
+    assert compare.bit_equal_mask(twins).tolist() == [True, False, True, True]
     assert drift["slip_max_m"] == pytest.approx(0.1)
     assert drift["energy_j"] == 0
 
@@ -115,7 +119,9 @@ def test_two_folders_on_the_command_line(fake_engine, tmp_path, monkeypatch, cap
     shutil.copytree("a", "same")
     capsys.readouterr()
     assert main(["compare", "a", "same", "--figures", "0"]) == 0
-    assert "0 of 30 flip (0.0 %): 0 succeed only in A" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "0 of 30 flip (0.0 %): 0 succeed only in A" in out
+    assert "30 of 30 pairs have equal metrics to the last bit" in out
     assert main(["compare", "a", "b", "-o", "flips.csv"]) == 4  # the same figures, a stricter threshold
     out, err = capsys.readouterr()
     flips = pd.read_csv("flips.csv")

@@ -278,18 +278,29 @@ def relative_metric_changes(pairs: pd.DataFrame) -> pd.Series:
     typically 0 only in A by infinity.
     """
     valid = (pairs["outcome"] != "invalid") & (pairs[f"outcome{SECOND_RUN_MARK}"] != "invalid")
-    own = pairs.columns[[not c.endswith(SECOND_RUN_MARK) for c in pairs.columns]]
     changes = {}
-    for name in metric_columns(pairs[own]):
-        a, b = (
-            pairs.loc[valid, name],
-            pairs.loc[valid, f"{name}{SECOND_RUN_MARK}"] if f"{name}{SECOND_RUN_MARK}" in pairs else None,
-        )
-        if b is None or a.dtype.kind != "f" or not (both := a.notna() & b.notna()).any():
+    for name in _metrics_of_both(pairs):
+        a, b = pairs.loc[valid, name], pairs.loc[valid, f"{name}{SECOND_RUN_MARK}"]
+        if not (both := a.notna() & b.notna()).any():
             continue
         change, scale = (b[both] - a[both]).abs().median(), a[both].abs().median()
         changes[name] = change / scale if scale else (np.inf if change else 0.0)
     return pd.Series(changes, dtype=float).sort_values(ascending=False)
+
+
+def bit_equal_mask(pairs: pd.DataFrame) -> np.ndarray:
+    """Return which pairs (n,) have equal metrics, to the last bit; NaN equals NaN."""
+    same = np.ones(len(pairs), dtype=bool)
+    for name in _metrics_of_both(pairs):
+        a, b = pairs[name].to_numpy(), pairs[f"{name}{SECOND_RUN_MARK}"].to_numpy()
+        same &= (a == b) | (np.isnan(a) & np.isnan(b))
+    return same
+
+
+def _metrics_of_both(pairs: pd.DataFrame) -> list[str]:
+    """Metrics that are numbers and that both runs have."""
+    own = pairs[[c for c in pairs.columns if not c.endswith(SECOND_RUN_MARK)]]
+    return [c for c in metric_columns(own) if own[c].dtype.kind == "f" and f"{c}{SECOND_RUN_MARK}" in pairs]
 
 
 def changed_pairs(pairs: pd.DataFrame) -> pd.DataFrame:

@@ -36,6 +36,7 @@ def comparison_text(
         f"{len(pairs)} pairs{describe_pair_columns(pairs)}; "
         f"unpaired: {a - len(pairs)} rows of A, {b - len(pairs)} of B",
         str(compare.count_flips(pairs, unit)),
+        f"{compare.bit_equal_mask(pairs).sum()} of {len(pairs)} pairs have equal metrics to the last bit",
     ]
     axes = [find_parameter_column(pairs, name) for name in regions] if regions else default_region_parameters(pairs)
     if compare.outcome_change_mask(pairs).any():

@@ -60,28 +60,39 @@ def run_audit(
     folder = path_inside_folder(results.folder, AUDIT_FOLDER)
     folder.mkdir(exist_ok=True)
     for name in variants or available:
-        try:
-            study, table = make_variant_study(exp, available[name], points, path_inside_folder(folder, name))
-        except InputError as error:
-            if variants:
-                raise
-            if on_message:
-                on_message(f"audit: {name} is left out: {error}")
-            continue
-        simulate_variant(study, table, progress)
+        refusal = simulate_variant(exp, available[name], points, path_inside_folder(folder, name), progress)
+        if refusal and variants:
+            raise refusal
+        if refusal and on_message:
+            on_message(f"audit: {name} is left out: {refusal}")
 
 
-def simulate_variant(study: Experiment, table: pd.DataFrame, progress: runner.ProgressCallback) -> None:
-    """Simulate those points of a variant's study that its folder lacks.
+def simulate_variant(
+    exp: Experiment, variant: AuditVariant, points: pd.DataFrame, folder: Path, progress: runner.ProgressCallback
+) -> InputError | None:
+    """Simulate points again in a variant, as far as the variant's folder lacks them.
 
     Args:
-        study: Study of the variant, from `make_variant_study`.
-        table: Its points.
+        exp: Experiment of the rows, with their engine settings.
+        variant: What differs.
+        points: Points, from `select_point_columns`.
+        folder: Folder of the variant's study.
         progress: Receives the rows of every finished batch.
+
+    Returns:
+        Why the variant cannot simulate these points, which some engines find only when they compile; else None.
     """
-    with store.lock_folder(study.folder):
-        runner.repair_folder(study, study.folder)
-        runner.run_job(runner.prepare_job(study, study.folder, table), progress)
+    try:
+        study, table = make_variant_study(exp, variant, points, folder)
+    except InputError as refusal:
+        return refusal
+    with store.lock_folder(folder):
+        runner.repair_folder(study, folder)
+        try:
+            runner.run_job(runner.prepare_job(study, folder, table), progress)
+        except InputError as refusal:
+            return refusal
+    return None
 
 
 def select_point_columns(rows: pd.DataFrame) -> pd.DataFrame:

@@ -19,7 +19,6 @@ from sweep.runs import runner, store
 from sweep.runs.audit import (
     AUDIT_FOLDER,
     apply_stored_engine_settings,
-    make_variant_study,
     select_point_columns,
     simulate_variant,
 )
@@ -68,15 +67,13 @@ def run_engine_audit(
     for name in others:
         variant = AuditVariant(f"on {name}", lambda settings, name=name: exp.system.select_engine(settings, name))
         folder = engine_study_folder(results.folder, name)
-        try:
-            study, table = make_variant_study(exp, variant, points, folder)
-        except InputError as error:
-            if not is_every:
-                raise
+        refusal = simulate_variant(exp, variant, points, folder, progress)
+        if refusal and not is_every:
+            raise refusal
+        if refusal:
             if on_message:
-                on_message(f"audit: {name} is left out: {error}")
+                on_message(f"audit: {name} is left out: {refusal}")
             continue
-        simulate_variant(study, table, progress)
         outcomes[name] = read_outcomes_by_point(folder).reindex(outcomes.index)
     if outcomes.shape[1] < 2:
         raise InputError(f"no engine but {own} can simulate these rows")
