@@ -4,7 +4,8 @@
 research/certainty.md cites; models of another call stay in it. Three models with contacts are pushed: a box that tips
 over, a tripod on sprung legs, and the quadruped of `sweep init --model`. The spread of the push is chosen so that about
 one of a thousand draws fails. Fresh plain draws give the probability; repeated importance sampling, all repetitions
-side by side, shows how often its interval holds it.
+side by side, shows how often its interval holds it. `formulas` as a model does so with formulas in place of rollouts,
+and rounds of several sizes.
 """
 
 import contextlib
@@ -15,6 +16,8 @@ import time
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -28,10 +31,13 @@ from sweep.config.experiment import compose
 from sweep.contract.engine_settings import EngineSettings
 from sweep.core.provenance import version_record
 from sweep.runs.batches import make_engine, make_nominal_batch
-from sweep.study.adaptive_sampling import RoundDraws
+from sweep.study import importance_sampling
+from sweep.study.adaptive_sampling import RoundDraws, RoundSummary
 from sweep.study.design_kinds.base import FailureEstimate
+from sweep.study.design_kinds.importance import ImportanceSampling
 from sweep.study.study import make_points
 
+FILE = shared.DATA / "rare_models.json"
 NUM = int(os.environ.get("RARE_NUM", "2048"))  # draws of a round, as in conf/study/any_rare.yaml
 TRIED, WIDTH = 256, int(os.environ.get("RARE_WIDTH", "65536"))  # pushes tried, rollouts of a batch
 TARGET, TRIALS = 1e-3, 4  # probability that the spread of the push aims at, batches that look for it
@@ -173,6 +179,52 @@ def measure_model(name: str, engine: str, searches: int, plain: int) -> list[str
             f"{both} of {sum(reliable)}"]  # fmt: skip
 
 
+def fails_in_three_ways(normal: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Return which pushes fail: ahead, or to either side, where less is needed but the direction is rare."""
+    push, direction = 0.7 + 0.3 / 2.9 * normal[:, 0], 0.3 * normal[:, 1]
+    needed = 1 + 0.06 * time
+    return (push * np.cos(direction) > needed) | (push * np.abs(np.sin(direction)) > 0.65 * needed)
+
+
+def fails_in_a_short_time(normal: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Return which pushes fail: large ones, and in a twentieth of the times smaller ones."""
+    push = 0.7 + 0.1 * normal[:, 0]
+    return (push * np.cos(0.3 * normal[:, 1]) > 1 + 0.06 * time) | ((push > 0.93) & (time > 0.8) & (time < 0.85))
+
+
+FORMULAS = {"ahead, or to a side": fails_in_three_ways, "also in a twentieth of the times": fails_in_a_short_time}
+
+
+def measure_formula(name: str, num: int, searches: int) -> list[str]:
+    """Return how often intervals of searches with `num` draws a round hold the probability of a formula."""
+    law, design, rng = FORMULAS[name], ImportanceSampling(num=num), np.random.default_rng(0)
+    truth = np.mean([law(rng.standard_normal((1 << 20, 2)), rng.random(1 << 20)).mean() for _ in range(10)])
+    context: Any = SimpleNamespace(study=name)  # all that the estimate reads of it
+    held, reliable = [], []
+    for seed in range(searches):
+        search, rows = importance_sampling.start_search(4, num, design.wide, design.rounds, seed), []
+        draws = next(search)
+        with contextlib.suppress(StopIteration):
+            while True:
+                failed = law(ndtri(draws.quantiles), draws.quantiles[:, 3])
+                columns = {f"axis.{key}": draws.columns[key] for key in ("weight", "round")}
+                rows.append(pd.DataFrame(columns).assign(outcome=np.where(failed, "failure", "success")))
+                draws = search.send(RoundSummary(failed, np.zeros(num)))
+        found = design.estimate_failure(pd.concat(rows), context)
+        held.append(found.low <= truth <= found.high)
+        reliable.append(found.is_reliable)
+    both = int(np.sum(np.array(held) & reliable))
+    return [name, f"{truth:.2g}", f"{3 * num:,}", f"{sum(held)} of {searches}", f"{sum(reliable)} of {searches}",
+            f"{both} of {sum(reliable)}"]  # fmt: skip
+
+
+def join_tables(every: shared.Scenarios) -> dict[str, shared.Table]:
+    """Return the tables of all models, and of the formulas."""
+    head = ["fails", "probability", *HEAD[4:6], *HEAD[7:]]
+    models = [one["row"] for one in every.values() if "row" in one]
+    return {"models": [HEAD, *models], "formulas": [head, *every.get("formulas", {}).get("rows", [])]}
+
+
 def main(engine: str = "kernel", searches: str = "100", plain: str = "400000", *names: str) -> None:
     """Simulate models, by default all, and add them to the table."""
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
@@ -180,16 +232,25 @@ def main(engine: str = "kernel", searches: str = "100", plain: str = "400000", *
             Path(name).write_text(text)
         for name in ("quadruped.xml", "trot.py"):
             Path(name).write_text((files("sweep.cli") / "template_model" / name).read_text(encoding="utf-8"))
-        for name in names or MODELS:
+        for name in names or (*MODELS, "formulas"):
             start = time.perf_counter()
-            row = measure_model(name, engine, int(searches), int(plain))
-            content = {"device": describe_device(EngineSettings(name=engine)), **version_record(),
-                       "seconds": time.perf_counter() - start, "row": row}  # fmt: skip
+            if name == "formulas":
+                rows = [measure_formula(one, num, int(searches)) for one in FORMULAS for num in (256, 512, 1024, 2048)]
+                print(*rows, sep="\n", flush=True)
+                found, device = {"rows": rows}, describe_device(EngineSettings(name="native"))
+            else:
+                row = measure_model(name, engine, int(searches), int(plain))
+                print(row, flush=True)
+                found, device = {"row": row}, describe_device(EngineSettings(name=engine))
+            content = {"device": device, **version_record(), "seconds": time.perf_counter() - start, **found}
             shared.add_scenario(
-                shared.DATA / "rare_models.json", name, content, "python bench/rare_models.py",
-                lambda every: {"models": [HEAD, *(one["row"] for one in every.values())]}, f"`{engine}`",
-            )  # fmt: skip
-            print(row, flush=True)
+                shared.DATA / "rare_models.json",
+                name,
+                content,
+                "python bench/rare_models.py",
+                join_tables,
+                f"`{engine}`",
+            )
 
 
 if __name__ == "__main__":
