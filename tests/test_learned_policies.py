@@ -17,6 +17,7 @@ from robots import HOME, save_lstm, save_perceptron, save_trot, write_project
 from small_study import one_line
 
 from sweep.analysis import first_differences
+from sweep.cli.commands import policy as policy_command
 from sweep.cli.main import main
 from sweep.config.experiment import compose
 from sweep.core.errors import InputError
@@ -361,6 +362,8 @@ def test_the_first_tick_is_printed_term_by_term(here, capsys):
     seen = np.concatenate([np.zeros(5), [-1, 0.5, 0, 0.025], np.zeros(60), [1, np.cos(3.14159), 0, np.sin(3.14159)]])
     (action,) = network.run(None, {"obs": seen[None]})[0]
     assert f"| lf_hip | {action[1]:.4g} | {0.795 + 0.3 * action[1]:.4g} | rad |" in lines
+    rows = policy_command.split_term_into_rows("heights", "m", np.arange(14.0))
+    assert rows == [("heights[0:12]", "m", "0 1 2 3 4 5 6 7 8 9 10 11"), ("heights[12:14]", "m", "12 13")]
 
 
 def test_the_page_as_it_stands(here, monkeypatch):

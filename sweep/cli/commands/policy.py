@@ -8,7 +8,11 @@ from sweep.cli.exits import DONE
 from sweep.core.arguments import Arguments, is_value
 from sweep.core.errors import InputError
 
+NUMBERS_PER_ROW = 12  # of a long term, so that rows fit on a screen
+
 if TYPE_CHECKING:
+    import numpy as np
+
     from sweep.systems.mujoco_model.engine import ModelEngine
 
 COMMAND = Command(
@@ -38,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     print(f"{summary['controller']} on {summary['model']}, a call every {1000 * exp.settings.control_period:g} ms")
     for name, terms in found.inputs.items():
         print(f"\n{name}: {sum(len(numbers) for _, _, numbers in terms)} numbers in this tick\n")
-        rows = [(term, unit, " ".join(f"{one:.4g}" for one in numbers)) for term, unit, numbers in terms]
+        rows = [row for term in terms for row in split_term_into_rows(*term)]
         print(tabulate(rows, headers=("term", "unit", "numbers"), tablefmt="github", disable_numparse=True))
     commands: list[tuple[str, ...]]
     if found.is_learned:
@@ -50,3 +54,21 @@ def run(args: argparse.Namespace) -> int:
     print(f"\naction: {len(commands)} {order}\n")
     print(tabulate(commands, headers=headers, tablefmt="github", disable_numparse=True))
     return DONE
+
+
+def split_term_into_rows(term: str, unit: str, numbers: "np.ndarray") -> list[tuple[str, str, str]]:
+    """Return the rows of a table for an observation term; rows of a long term have a slice such as `[0:12]`.
+
+    Args:
+        term: Name of the term.
+        unit: Its unit.
+        numbers: Its numbers (k,).
+
+    Returns:
+        Name, unit and numbers of each row.
+    """
+    words = [f"{one:.4g}" for one in numbers]
+    if len(words) <= NUMBERS_PER_ROW:
+        return [(term, unit, " ".join(words))]
+    parts = [(start, words[start : start + NUMBERS_PER_ROW]) for start in range(0, len(words), NUMBERS_PER_ROW)]
+    return [(f"{term}[{start}:{start + len(part)}]", unit, " ".join(part)) for start, part in parts]

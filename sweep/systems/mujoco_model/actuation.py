@@ -38,6 +38,17 @@ class JointPdControl(NamedTuple):
         return xp.where(self.active, torque / self.lever, command)
 
 
+def find_actuator_name(model: mujoco.MjModel, index: int) -> str:
+    """Return the name of an actuator, else that of its joint, else its index.
+
+    Args:
+        model: The model.
+        index: Index of the actuator.
+    """
+    joint = int(model.actuator_trnid[index, 0]) if model.actuator_trntype[index] in JOINT_TRANSMISSIONS else -1
+    return model.actuator(index).name or (model.joint(joint).name if joint >= 0 else "") or f"actuator {index}"
+
+
 def find_actuators(error_prefix: str, model: mujoco.MjModel, joints: list[str]) -> np.ndarray:
     """Return the actuator that drives each joint. Raises `InputError` where a joint has none or several.
 

@@ -21,7 +21,7 @@ from sweep.core.errors import USER_CODE_ERRORS, InputError, format_user_exceptio
 from sweep.core.metric import Metric, freeze_ended_states
 from sweep.core.user_code import describe_user_error, run_user_code
 from sweep.fused.numbers import evaluate_with_numpy
-from sweep.systems.mujoco_model import files
+from sweep.systems.mujoco_model import actuation, files
 from sweep.systems.mujoco_model.actuator_networks import ActuatorNetwork
 from sweep.systems.mujoco_model.batch import InitialBatch, controller_inputs, count_ticks
 from sweep.systems.mujoco_model.model_spec import PHYSICAL, ModelSpec, ParameterOverrides
@@ -302,7 +302,7 @@ class ControllerPrograms:
             parts = spec.config.observe or ("observation",)
             every = [observable[spec.state_slices[name]] for name in spec.config.observe] or [seen]
             inputs = {"observation": [(name, "", np.asarray(one)) for name, one in zip(parts, every, strict=True)]}
-            names = [model.actuator(k).name or f"actuator {k}" for k in range(model.nu)]
+            names = [actuation.find_actuator_name(model, k) for k in range(model.nu)]
             commands = [(name, np.nan, one, "") for name, one in zip(names, controls.tolist(), strict=True)]
         else:
             inputs = learned.split_inputs_into_terms(
