@@ -3,12 +3,10 @@
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-import jinja2
 import pandas as pd
 from markupsafe import Markup
 
@@ -26,7 +24,7 @@ from sweep.report.league import (
     describe_points,
 )
 from sweep.report.page import data
-from sweep.report.page.script import bundle_script, content_security_policy, style_sheet
+from sweep.report.page.script import bundle_script, content_security_policy, load_page_template, style_sheet
 from sweep.runs import store
 from sweep.runs.results import Results
 
@@ -68,10 +66,6 @@ def render_league_page(
     path: Path, content: LeagueContent, exp: Experiment, first: Path, folders: Sequence[Path]
 ) -> str:
     """Render the page of a league as HTML; see `write_league_page` for the arguments."""
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    template = environment.from_string((files("sweep.report.page") / "league.html.j2").read_text(encoding="utf-8"))
     league, table, pairs = content.league, content.table, content.pairs
     own = [c for k in range(len(league.policies)) for c in (WON.format(k), CAUSE.format(k))]
     results = Results(first, store.read_study(first), exp, league.conditions.drop(columns=own), None)
@@ -82,7 +76,7 @@ def render_league_page(
     style, script = style_sheet(), bundle_script()
     pages = dict(zip(league.policies, (link_to_report(folder, path) for folder in folders), strict=False))
     points, shown = len(league.success), about["rows"]
-    return template.render(
+    return load_page_template("league.html.j2").render(
         policy=content_security_policy(style, script),
         style=Markup(style),
         script=Markup(script),

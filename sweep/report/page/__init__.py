@@ -8,11 +8,9 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import matplotlib as mpl
 import pandas as pd
 import yaml
@@ -35,7 +33,7 @@ from sweep.report.headline import study_headline
 from sweep.report.labels import heading, hover_text, outcome_kind
 from sweep.report.page import data, opening
 from sweep.report.page.replay_data import ShownReplay, describe_replays, read_shown_replays
-from sweep.report.page.script import bundle_script, content_security_policy, style_sheet
+from sweep.report.page.script import bundle_script, content_security_policy, load_page_template, style_sheet
 from sweep.report.representative import Representative, find_representatives
 from sweep.report.statistics import labelled_sections
 from sweep.runs import audit, store
@@ -130,10 +128,6 @@ def render_page(
         pairs: content of a page that compares two studies.
         live: progress of the run that adds rows, if there is one.
     """
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    template = environment.from_string((files("sweep.report.page") / "page.html.j2").read_text(encoding="utf-8"))
     rows = results.rows
     style, script = style_sheet(), bundle_script()
     plates = [make_page_figure(one) for one in (pairs.figures if pairs else list_figures(results))]
@@ -171,7 +165,7 @@ def render_page(
     about |= {"replays": replays.descriptions, "models": replays.models, "left_out": replays.omitted_count}
     about |= {"arrow": arrow, "open": opened, "legs": list(LEG_COLORS)}
     about["reload_s"] = live.reload_s if live else 0
-    return template.render(
+    return load_page_template("page.html.j2").render(
         results=results,
         policy=content_security_policy(style, script),
         style=Markup(style),

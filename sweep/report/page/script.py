@@ -1,4 +1,4 @@
-"""The page's script and style sheet as texts, and the content security policy that allows only these two."""
+"""Templates, script and style sheet of pages, and the content security policy that allows no other script or style."""
 
 import base64
 import hashlib
@@ -8,8 +8,18 @@ from graphlib import TopologicalSorter
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 
+import jinja2
+
 IMPORT_LINE = re.compile(r'^import \{[^}]*\} from "\./([\w-]+\.js)";\n', re.MULTILINE)
 EXPORT_KEYWORD = re.compile(r"^export (?=(?:async )?(?:function\*?|const|class) )", re.MULTILINE)
+
+
+def load_page_template(name: str) -> jinja2.Template:
+    """Load an HTML template of this package, such as `page.html.j2`; it escapes all values except `Markup`."""
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.from_string((files(__package__) / name).read_text(encoding="utf-8"))
 
 
 @cache
