@@ -90,7 +90,7 @@ RegionScore = NestedBoxes | QuadraticLogOdds  # regions are where the score is s
 
 @dataclass(frozen=True)
 class CertifiedRegion:
-    """A region of parameters as a certificate stores it: the rows whose score is at most a threshold."""
+    """Region of parameter space in which a certificate bounds the failure probability: `score(x) <= threshold`."""
 
     names: list[str]  # columns (d,) of the parameters
     score: RegionScore
@@ -98,7 +98,10 @@ class CertifiedRegion:
 
     @classmethod
     def from_values(cls, values: Any) -> Self:
-        """Return the region that `region_values` of its score wrote.
+        """Make a region from the plain values (lists and numbers) that a certificate file stores.
+
+        Args:
+            values: Content of the entry `region`, as `region_values` of the score writes it.
 
         Raises:
             KeyError, TypeError, ValueError: A value is missing, or numbers have the wrong shape or are not finite.

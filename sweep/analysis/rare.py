@@ -89,12 +89,14 @@ def list_failure_modes(rows: pd.DataFrame, exp: Experiment) -> list[FailureMode]
 
 
 def draw_and_failure_weights(rows: pd.DataFrame, exp: Experiment) -> tuple[np.ndarray, np.ndarray]:
-    """Return the weights (n,) of rows as draws of the nominal distribution, and those of failures in their probability.
-
-    The weights of failures sum to the failure probability, up to a factor.
+    """Return weights that turn rows drawn adaptively into estimates for the nominal distribution.
 
     Args:
         rows: All rows of an adaptive study (n).
         exp: Its experiment.
+
+    Returns:
+        Two arrays (n,). With the first as weights, rows represent the nominal distribution. The second is each row's
+        share in the failure probability, up to a common factor; 0 for rows that do not count as failures.
     """
     return exp.study.adaptive_design.weigh_rows(rows, exp.study.draw_context)

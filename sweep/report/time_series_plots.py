@@ -30,7 +30,11 @@ def load_time_series(results: Results) -> pd.DataFrame:
 
 
 def time_series_figure(results: Results) -> Iterator[StudyFigure]:
-    """Yield the time series of the columns in `study.keep`, with quantiles over the rollouts that are still running."""
+    """Yield a figure of the stored time series: single rollouts, and their median and quantiles over time.
+
+    It shows the columns that `study.keep` names; nothing is yielded if the study stored none. At each time, the
+    quantiles are over the rollouts that have not ended yet.
+    """
     if not results.exp.study.keep or not store.list_recordings(results.folder, store.HISTORIES_FOLDER):
         return
     kept = load_time_series(results)

@@ -283,14 +283,15 @@ class AdaptiveDesign(Design):
     def weigh_rows(
         self, rows: "pd.DataFrame", ctx: DrawContext
     ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """Return the weights of rows as draws of the nominal distribution, and those of failures in their probability.
+        """Return weights that turn rows drawn adaptively into estimates for the nominal distribution.
 
         Args:
             rows: All rows of the study.
             ctx: Axes and seed of the study.
 
         Returns:
-            Weights as plain draws; and weights of failures, which sum to the failure probability up to a factor.
+            Two arrays (n,). With the first as weights, rows represent the nominal distribution. The second is each
+            row's share in the failure probability, up to a common factor; 0 for rows that do not count as failures.
 
         Raises:
             InputError: The search is not finished.

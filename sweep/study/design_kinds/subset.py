@@ -119,7 +119,9 @@ class SubsetSimulation(AdaptiveDesign):
         return SubsetEstimate(self.target, tuple(runs))
 
     def weigh_rows(self, rows: "pd.DataFrame", ctx: DrawContext) -> tuple[np.ndarray, np.ndarray]:
-        """Return the weights (n,) of rows as nominal draws (1 in the first level, else 0), and those of failures.
+        """Return weights (n,) for the nominal distribution, and the share (n,) of each row in the failure probability.
+
+        Only the rows of the first level are drawn from the nominal distribution: they have weight 1, all others 0.
 
         Args:
             rows: All rows of the study.

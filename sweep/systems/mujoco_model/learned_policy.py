@@ -52,12 +52,17 @@ class LearnedPolicy(NamedTuple):
     assemble: Callable[..., Any]  # (belief, observation, state) -> numbers of each input, by name, and the next state
 
     def split_inputs_into_terms(self, numbers: Mapping[str, Any]) -> dict[str, list[tuple[str, str, np.ndarray]]]:
-        """Split each network input into observation terms with names, units and numbers of the latest tick.
+        """Split the input vectors of the network into their observation terms, such as joint positions.
+
+        Where an input contains earlier ticks, only the numbers of the latest tick are returned.
 
         The unit of a scaled term ends with its scale, such as `rad/s x 0.05`.
 
         Args:
-            numbers: Numbers of each input, by its name.
+            numbers: Vector of each network input, by name of the input.
+
+        Returns:
+            By name of the input: label, unit and numbers (size,) of each term.
         """
         found: dict[str, list[tuple[str, str, np.ndarray]]] = {}
         for name, terms in self.inputs.items():
