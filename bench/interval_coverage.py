@@ -43,7 +43,10 @@ def study(axes: dict[str, Any], seed: int = 0, **keys: Any) -> Any:
     """Return an experiment of these axes, with what the analysis asks of it."""
     design = {**PLAIN["design"], **keys.pop("design", {})}
     parsed = Study.parse({**PLAIN, "name": "toy", "axes": axes, "seed": seed, **keys, "design": design}, single=False)
-    system = SimpleNamespace(nominal=lambda path, settings: 0.5, random=lambda rows, settings: np.ones(len(rows), bool))
+    system = SimpleNamespace(
+        nominal_parameter_value=lambda path, settings: 0.5,
+        find_stochastic_rows=lambda rows, settings: np.ones(len(rows), bool),
+    )
     return SimpleNamespace(study=parsed, system=system, settings=None)
 
 

@@ -242,7 +242,7 @@ def picture(found: Results, target: dict[str, Any], path: Path) -> None:
             next(one for one in list_figures(found) if one.key == key).draw().savefig(path, dpi=DPI)
     else:
         with plot_style():
-            axes = maps.map_axes(found.rows, tuple(target.get("map", ())))
+            axes = maps.choose_map_axes(found.rows, tuple(target.get("map", ())))
             maps.success_map(found.rows, found.stored, axes, target["title"]).savefig(path, dpi=DPI)
 
 

@@ -110,7 +110,7 @@ def test_a_tolerance_is_no_wider_than_needed():
     axes, widths = {"error": {"path": "controller.x3", "values": LEVELS}, "x1": AXES["x1"]}, []
     for seed in range(20):
         exp = study(axes, seed, design={"num": 200})
-        exp.system.nominal = lambda path, settings: 0.0
+        exp.system.nominal_parameter_value = lambda path, settings: 0.0
         limit = np.random.default_rng(seed).logistic(0.045, 0.007, 200)
         rows = points(exp)
         rows = judged(rows, rows["controller.x3"] < limit[rows["replicate"]])

@@ -55,7 +55,7 @@ def test_a_part_that_was_judged_by_other_thresholds_is_not_taken(folder):
     job = runner.prepare_job(exp, folder, runner.select_points_to_simulate(exp))
     entry = replace(store.list_current_parts(folder)[0], labels="others")
     with pytest.raises(Fault, match="other thresholds"):
-        runner.register_finished_part(job, runner.FinishedBatch(0, "host", "cpu", 1, entry), entry)
+        runner.add_batch_to_manifest(job, runner.FinishedBatch(0, "host", "cpu", 1, entry), entry)
 
 
 def test_no_flipped_bit_is_silent_and_none_ends_in_a_traceback(folder, whole):

@@ -56,7 +56,7 @@ def lab(tmp_path, monkeypatch):
 def test_a_number_that_varies_moves_its_foothold_and_is_traced():
     exp = compose(ROOF)
     unit = (exp.case.robot.thigh + exp.case.robot.shin) * 1.05 / 0.855
-    start, by = exp.system.nominal(AHEAD, exp.settings), 0.03
+    start, by = exp.system.nominal_parameter_value(AHEAD, exp.settings), 0.03
 
     @jax.jit
     def foothold(belief):

@@ -235,7 +235,9 @@ def test_a_path_with_a_star_is_an_axis_for_each_number_below_it():
     assert {a.parameter_column for a in exp.study.axes} == held
     assert len(table) == 8 * (len(held) + 1)  # Morris' paths
     for path in held:
-        assert np.ptp(table[path]) == pytest.approx(0.04 * exp.system.nominal(path, exp.settings), rel=0.02)
+        assert np.ptp(table[path]) == pytest.approx(
+            0.04 * exp.system.nominal_parameter_value(path, exp.settings), rel=0.02
+        )
     with pytest.raises(InputError, match=r"study.axes.number.path = plan.of.\* matches no number that is not zero"):
         compose(["scenario=ball_descend", "study=any_plan_sensitivity", "study.axes.number.path=plan.of.*"])
     sizes = compose(["+study.axes.size={path: robot.*, relative: 0.01}", "study.design.num=2"]).study.axes

@@ -30,7 +30,7 @@ from sweep.planning.score import (
     group_independent_numbers,
     mask_non_minima,
 )
-from sweep.planning.score import replace_plan_number as moved
+from sweep.planning.score import replace_plan_value as moved
 from sweep.runs import tuning
 from sweep.runs.tuning import (
     fit_plan_slopes_over_sizes,

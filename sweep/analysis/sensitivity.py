@@ -149,7 +149,9 @@ def one_at_a_time_rows(rows: pd.DataFrame, exp: Experiment) -> Iterator[tuple[Ax
         exp: Its experiment.
     """
     axes = listed_value_axes(rows, exp)
-    centre = {a.column: a.nominal_value(lambda path: exp.system.nominal(path, exp.settings)) for a in axes}
+    centre = {
+        a.column: a.nominal_value(lambda path: exp.system.nominal_parameter_value(path, exp.settings)) for a in axes
+    }
     near = {}
     for axis in axes:
         values = rows[axis.column]

@@ -373,7 +373,7 @@ def axes_table(exp: Experiment) -> str:
             axis.side if axis.path else "",
             str(axis),
             unit_of_column(axis.path, exp.system, exp.settings) if axis.path else "",
-            exp.system.nominal(axis.path, exp.settings) if axis.path else "",
+            exp.system.nominal_parameter_value(axis.path, exp.settings) if axis.path else "",
         ]
         for axis in exp.study.axes
     ]

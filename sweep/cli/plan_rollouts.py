@@ -10,7 +10,7 @@ from jaxtyping import Float
 from sweep.config.experiment import Experiment
 from sweep.core.outcomes import SUCCESS
 from sweep.planning import plan_table
-from sweep.planning.score import broadcast_over_draws, relative_size_changes, replace_plan_number
+from sweep.planning.score import broadcast_over_draws, relative_size_changes, replace_plan_value
 from sweep.runs.batches import assign_batches, make_batch, make_engine, make_nominal_batch
 from sweep.study.study import make_points, parameter_columns
 
@@ -58,7 +58,7 @@ class PlanRollouts:
             slots = index[np.minimum(np.arange(width), len(index) - 1)]
             world, belief = batch.world, batch.belief
             for (path, value), change in zip(self._numbers.items(), changes[slots].T, strict=True):
-                world, belief = (replace_plan_number(x, path, value + change, self._formulas) for x in (world, belief))
+                world, belief = (replace_plan_value(x, path, value + change, self._formulas) for x in (world, belief))
             engine = make_engine(self._exp, make_nominal_batch(self._exp, rows, width))
             metrics = engine.run(world, belief, batch.streams)
             figures = {name: np.asarray(values, float)[: len(index)] for name, values in metrics.items()}

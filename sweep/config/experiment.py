@@ -274,7 +274,7 @@ def build_experiment(values: Mapping[str, Any]) -> Experiment:
     check_kept_time_series(study, system, settings)
     for theory in study.theory:  # refuses inputs that mean nothing
         system.parameter(theory.of, settings)
-        theory.formula_inputs(lambda path: system.nominal(path, settings))
+        theory.formula_inputs(lambda path: system.nominal_parameter_value(path, settings))
     return Experiment(scenario["name"], system, settings, limits, cluster, study, values["out"], {**values, **told})
 
 

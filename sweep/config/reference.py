@@ -53,7 +53,7 @@ def describe_parameter_or_column(name: str) -> str:
         choice
         and group in GROUPS
         and not GROUPS[group].number_lister
-        and choice not in map(registered_kind, every.get(group, []))
+        and choice not in map(config_kind, every.get(group, []))
     )
     if of_file and (file := project.find_config_file(group, choice)):
         return f"{name}: {project.first_comment(file)}\n\n{file.read_text(encoding='utf-8').rstrip()}"
@@ -62,14 +62,12 @@ def describe_parameter_or_column(name: str) -> str:
         return describe_plan_numbers(head, name.removeprefix(head)[1:])
     group, _, kind = name.partition("=")
     if group in every:
-        kinds = [registered_kind(cls) for cls in every[group]]
+        kinds = [config_kind(cls) for cls in every[group]]
         if kind and not any(kinds):
             raise InputError(f"{name} is unknown{format_name_suggestion(kind, group_file_names(group))}")
         if kind:
             require_choice(kind, [*kinds, *group_file_names(group)], f"{group} = {kind}")
-        return "\n\n".join(
-            format_parameter_class(group, cls) for cls in every[group] if kind in ("", registered_kind(cls))
-        )
+        return "\n\n".join(format_parameter_class(group, cls) for cls in every[group] if kind in ("", config_kind(cls)))
     group, _, key = name.partition(".")
     if group not in every:
         hint = experiment.suggest_parameter_paths(name, every)
@@ -138,7 +136,7 @@ def format_parameter_class(group: str, cls: type) -> str:
         group: Configuration group.
         cls: The dataclass.
     """
-    kind = registered_kind(cls)
+    kind = config_kind(cls)
     lines = pd.DataFrame(list(parameter_rows(cls)))
     table = lines.to_markdown(index=False, disable_numparse=True) if len(lines) else "No parameters."
     names = [
@@ -164,7 +162,7 @@ def format_parameter(group: str, cls: type, line: dict[str, str]) -> str:
         cls: Dataclass of the parameter.
         line: The parameter, as `parameter_rows` yields it.
     """
-    kind = registered_kind(cls)
+    kind = config_kind(cls)
     beside = f" (of {group}={kind})" if kind else ""
     rows = [f"{group}.{line['parameter']}{beside}: {line['meaning'] or class_docstring(cls).splitlines()[0]}"]
     rows += [f"  {key}: {line[key]}" for key in ("default", "unit", "allowed") if line[key]]
@@ -206,7 +204,7 @@ def format_default(field: "dataclasses.Field[Any]") -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def registered_kind(cls: type) -> str:
+def config_kind(cls: type) -> str:
     """Return the `kind` of an obstacle, manoeuvre or cluster class; empty for other classes."""
     found = [f.default for f in dataclasses.fields(cls) if f.name == "kind"]
     return str(found[0]) if found else ""

@@ -63,8 +63,8 @@ class System(Protocol):
         ...
 
     @property
-    def causes(self) -> Mapping[str, str]:
-        """Meaning of each cause of failure or invalidity by name, in the order of definition."""
+    def cause_names(self) -> Sequence[str]:
+        """Names of all causes of failure or invalidity, in the order of definition."""
         ...
 
     def cause_meanings(self, limits: Limits) -> Mapping[str, str]:
@@ -159,7 +159,7 @@ class System(Protocol):
         """Return unit, bounds and default of a column's parameter. Raises `InputError` if it cannot vary."""
         ...
 
-    def nominal(self, column: str, settings: EngineSettings) -> Any:
+    def nominal_parameter_value(self, column: str, settings: EngineSettings) -> Any:
         """Return the nominal value of the parameter that a column holds. Raises `InputError` for an unknown column."""
         ...
 

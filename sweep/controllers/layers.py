@@ -114,11 +114,11 @@ class TrackerLayer:
         """Return the footholds of the current stage (m, in the coordinate frame of each foot) for this tick."""
         return feet
 
-    def advance_late_feet(
+    def extend_late_feet(
         self, plan: Plan, state: Any, stage: Int[Array, ""], clock: Float[Array, ""], feet: Float[Array, "6 3"],
         load_delay: Array | float,
     ) -> Float[Array, "6 3"]:  # fmt: skip
-        """Return the commanded feet when a stage ends, or while it waits for late touchdowns.
+        """Return the commanded feet at the end of a stage; a layer may extend feet whose touchdown is late.
 
         Args:
             plan: the plan that is followed.
@@ -247,7 +247,7 @@ class ForceFeedforward(TrackerLayer):
         bears = ctx.obs.loaded if ctx.obs.maybe_loaded is None else ctx.obs.maybe_loaded
         state = state + jnp.where(bears, 0.0, LONE_CREEP_FACTOR * self.creep * late)
         load_delay = foot_load_delay_s(ctx.noise, ctx.period)
-        feet = self.advance_late_feet(ctx.plan, state, ctx.stage, ctx.clock, target.feet, load_delay)
+        feet = self.extend_late_feet(ctx.plan, state, ctx.stage, ctx.clock, target.feet, load_delay)
         return state, target._replace(feet=feet)
 
     def update_footholds(self, ctx: TickContext, feet: Float[Array, "6 3"]) -> Float[Array, "6 3"]:
@@ -263,7 +263,7 @@ class ForceFeedforward(TrackerLayer):
         share = jnp.where(obs.loaded & ~ctx.plan.swing[stage], jnp.minimum(1.0, ctx.period / time), 0.0)
         return feet + share[:, None] * (real - feet)
 
-    def advance_late_feet(
+    def extend_late_feet(
         self, plan: Plan, state: Float[Array, " 6"], stage: Int[Array, ""], clock: Float[Array, ""],
         feet: Float[Array, "6 3"], load_delay: Array | float,
     ) -> Float[Array, "6 3"]:  # fmt: skip

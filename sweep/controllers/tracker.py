@@ -225,7 +225,7 @@ def _advance(
         end = stance_to_world(end, plan.foot_frame[stage], plan.base_frame[stage], last_free)
     for layer, layer_state in zip(plan.layers, state.layer_states, strict=True):
         load_delay = foot_load_delay_s(belief.noise, period)
-        end = end._replace(feet=layer.advance_late_feet(plan, layer_state, stage, state.clock, end.feet, load_delay))
+        end = end._replace(feet=layer.extend_late_feet(plan, layer_state, stage, state.clock, end.feet, load_delay))
 
     def start_next_stage(obs: Observation, earlier: PoseError) -> StageStart:
         first, *others = sorted(set(plan.onset))

@@ -55,8 +55,8 @@ def _path(word: str) -> Path:
     return Path(word)
 
 
-def is_value(word: str) -> bool:
-    """Return whether a command-line word is a value, such as `group=choice`, and not a flag."""
+def is_positional(word: str) -> bool:
+    """Return whether a command-line word is positional, such as `group=choice`, and not a flag."""
     return not word.startswith("-")
 
 

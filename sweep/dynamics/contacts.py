@@ -63,7 +63,7 @@ class ContactForces(NamedTuple):
     loaded: Bool[Array, " n"]
 
 
-def no_anchors(n: int, dtype: jnp.dtype) -> ContactAnchors:
+def make_initial_anchors(n: int, dtype: jnp.dtype) -> ContactAnchors:
     """Make the contact anchors (spring attachments) of n points that are not in contact."""
     return ContactAnchors(Vector.from_array(jnp.zeros((n, 3), dtype)), jnp.zeros(n, bool), jnp.zeros(n, FACE_DTYPE))
 

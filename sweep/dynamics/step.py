@@ -27,7 +27,7 @@ from sweep.dynamics.contacts import (
     contact_damping,
     contact_forces,
     find_contacts,
-    no_anchors,
+    make_initial_anchors,
     rolling_resistance_moments,
 )
 from sweep.dynamics.free_bodies import FreeBodies
@@ -110,7 +110,9 @@ def state_at_rest(top: ModelTopology, q: Float[Array, " nq"]) -> PhysicsState:
         q: MuJoCo's qpos (m, quaternions, rad).
     """
     counts = (N_LEGS, len(top.contact_owners) - N_LEGS)
-    return PhysicsState(q, jnp.zeros(top.model.nv, q.dtype), tuple(no_anchors(n, q.dtype) for n in counts if n))
+    return PhysicsState(
+        q, jnp.zeros(top.model.nv, q.dtype), tuple(make_initial_anchors(n, q.dtype) for n in counts if n)
+    )
 
 
 def unpack_physics_state(state: PhysicsState) -> UnpackedPhysicsState:

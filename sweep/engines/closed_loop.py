@@ -345,4 +345,4 @@ def compute_metrics(world: Case, plan: Plan, loop: ClosedLoop) -> dict[str, Arra
         plan: plan from before the start.
         loop: state of the closed loop.
     """
-    return accumulator.compute(world, loop.learned.plan or plan, loop.running, loop.tracker.stage)
+    return accumulator.compute_metrics(world, loop.learned.plan or plan, loop.running, loop.tracker.stage)

@@ -113,7 +113,7 @@ def _update_metric(metric: Metric, state: Any, ctx: MetricContext, number: Array
     return jax.lax.cond(number % every == 0, lambda: metric.update(state, ctx), lambda: state)
 
 
-def compute(world: Case, plan: Plan, running: RunningMetrics, stage: Int[Array, ""]) -> dict[str, Array]:
+def compute_metrics(world: Case, plan: Plan, running: RunningMetrics, stage: Int[Array, ""]) -> dict[str, Array]:
     """Compute all metrics of a rollout at its end, by column of its row in the results.
 
     Args:

@@ -497,7 +497,7 @@ def _leaves(value: Any) -> Iterator[Any]:
         yield value
 
 
-def read_part_numbers[T](cls: type[T], belief: Case, part: str) -> T:
+def read_plan_part[T](cls: type[T], belief: Case, part: str) -> T:
     """Return a part of the plan file that holds numbers instead of moves, as the named tuple class `cls`.
 
     Args:

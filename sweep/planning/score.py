@@ -248,7 +248,7 @@ class PlanScore:
     def _worst_margins(self, numbers: jax.Array, belief: Case) -> dict[str, jax.Array]:
         """Margins (phases, stages) of one draw at the worst phases of every stage, the worst first."""
         for path, value in zip(self._free, numbers, strict=True):
-            belief = replace_plan_number(belief, path, value, self._formulas)
+            belief = replace_plan_value(belief, path, value, self._formulas)
         plan = belief.manoeuvre.plan(belief)
         return self._played_margins(belief, plan) if self._is_on_ball else self._posed_margins(belief, plan)
 
@@ -328,7 +328,7 @@ def _map_draws(function: Callable[..., Any], numbers: np.ndarray, draws: Case) -
         return jax.tree.map(lambda *x: np.concatenate(x)[:count], *pool.map(evaluate, parts))
 
 
-def replace_plan_number(case: Case, path: str, value: Any, formulas: Mapping[str, float]) -> Case:
+def replace_plan_value(case: Case, path: str, value: Any, formulas: Mapping[str, float]) -> Case:
     """Return the case (all parameters of a rollout) with another value for one number of its plan.
 
     Args:

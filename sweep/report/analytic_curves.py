@@ -22,7 +22,7 @@ def limit_curve(theory: AnalyticParameterLimit, exp: Experiment, rows: pd.DataFr
         here = {split_side_prefix(str(name))[1]: one for name, one in agreed.items()}
 
         def value_of(path: str, rows: dict = here) -> float:
-            return rows[path] if path in rows else exp.system.nominal(path, exp.settings)
+            return rows[path] if path in rows else exp.system.nominal_parameter_value(path, exp.settings)
 
         found.append((value, theory.compute(value_of)))
     return pd.DataFrame(found, columns=["along", "limit"])

@@ -130,7 +130,7 @@ def shorten_file_names(names: Sequence[str]) -> list[str]:
 
 def axis_title(column: str, exp: Experiment | None = None) -> str:
     """Return the title of a plot axis for a column, with subscripts in symbols such as `c1` and `a_r`."""
-    return re.sub(r"\b([a-z])(?:(\d)|_(\w))\b", r"$\1_\2\3$", heading(column, exp))
+    return re.sub(r"\b([a-z])(?:(\d)|_(\w))\b", r"$\1_\2\3$", label_with_unit(column, exp))
 
 
 def column_unit(column: str, exp: Experiment) -> str:
@@ -148,7 +148,7 @@ def column_unit(column: str, exp: Experiment) -> str:
     return format_unit(unit_of_column(column, exp.system, exp.settings))
 
 
-def heading(column: str, exp: Experiment | None = None) -> str:
+def label_with_unit(column: str, exp: Experiment | None = None) -> str:
     """Return the label of a column with its unit, for a table or plot axis. Without `exp`, units of parameters are
     unknown."""
     words, known = label_and_unit(column, exp)

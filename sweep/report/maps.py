@@ -52,7 +52,7 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
     Raises:
         InputError: fewer than two parameters vary.
     """
-    x, y = map_axes(rows, chosen)
+    x, y = choose_map_axes(rows, chosen)
     exp = build_experiment(stored["config"])
     guessed = exp.study.resolution > 0 and {x, y} == {a.column for a in refine.make_lattice(exp.study).axes}
     rows = refine.add_inferred_rows(exp, rows) if guessed else rows.assign(known=True)
@@ -104,7 +104,7 @@ def success_map(rows: pd.DataFrame, stored: Mapping[str, Any], chosen: tuple[str
     return figure
 
 
-def map_axes(rows: pd.DataFrame, chosen: tuple[str, ...]) -> tuple[str, str]:
+def choose_map_axes(rows: pd.DataFrame, chosen: tuple[str, ...]) -> tuple[str, str]:
     """Choose the horizontal and vertical parameter of a map.
 
     Args:
@@ -157,7 +157,7 @@ def split_panels(
 def list_outcome_kinds(rows: pd.DataFrame, exp: Experiment) -> list[str]:
     """Return the outcome kinds that occur in `rows`, success and causes, in the order of their definition."""
     found = set(rows["cause"])
-    causes = [cause for cause in exp.system.causes if cause in found and cause not in exp.system.invalid_causes]
+    causes = [cause for cause in exp.system.cause_names if cause in found and cause not in exp.system.invalid_causes]
     return [SUCCESS] * bool((rows["outcome"] == SUCCESS).any()) + causes
 
 

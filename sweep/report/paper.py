@@ -23,7 +23,7 @@ from sweep.core.plot_style import plot_style
 from sweep.report import cells, statistics, tables
 from sweep.report.figures import list_figures
 from sweep.report.headline import describe_setup
-from sweep.report.labels import heading
+from sweep.report.labels import label_with_unit
 from sweep.runs import audit
 from sweep.runs.results import Results
 from sweep.study.columns import metric_columns
@@ -157,7 +157,7 @@ def summary_tables(results: Results) -> Iterator[tuple[str, str, pd.DataFrame]]:
         yield "parameters", "What was varied.", pd.DataFrame(varied)[columns].rename(columns={"words": "varied"})
     parts = [("all", rows)]
     for column in results.categorical_columns:
-        parts += [(f"{heading(column, results.exp)} {value}", part) for value, part in rows.groupby(column)]
+        parts += [(f"{label_with_unit(column, results.exp)} {value}", part) for value, part in rows.groupby(column)]
     lines = []
     for name, part in parts:
         one = pooled_success_rate(part, results.exp)

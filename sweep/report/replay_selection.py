@@ -14,7 +14,7 @@ import pandas as pd
 from sweep.analysis.sample import random_subset_indices
 from sweep.core.outcomes import SUCCESS
 from sweep.report.figures import metrics_with_threshold_first
-from sweep.report.labels import column_unit, heading
+from sweep.report.labels import column_unit, label_with_unit
 from sweep.report.representative import find_representatives
 from sweep.report.tables import format_value
 from sweep.runs import audit
@@ -61,7 +61,7 @@ def choose_nominal_row(results: Results) -> Iterator[tuple[int, str]]:
         return
     away = np.zeros(len(results.rows))
     for column in columns:
-        values, nominal = results.rows[column], results.exp.system.nominal(column, results.exp.settings)
+        values, nominal = results.rows[column], results.exp.system.nominal_parameter_value(column, results.exp.settings)
         if column in results.numeric_columns:
             numbers = values.to_numpy(dtype=float)
             away += ((numbers - float(nominal)) / np.ptp(numbers)) ** 2
@@ -90,7 +90,7 @@ def choose_extreme_rows(results: Results) -> Iterator[tuple[int, str]]:
             finite = np.where(np.isfinite(values), values, np.nan)
             for word, k in (("largest", np.nanargmax(finite)), ("least", np.nanargmin(finite))):
                 unit = column_unit(name, results.exp)
-                yield int(k), f"{word} {heading(name)}: {format_value(finite[k])}{' ' + unit if unit else ''}"
+                yield int(k), f"{word} {label_with_unit(name)}: {format_value(finite[k])}{' ' + unit if unit else ''}"
 
 
 def choose_spread_rows(results: Results) -> Iterator[tuple[int, str]]:

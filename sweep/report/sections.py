@@ -124,7 +124,7 @@ def nominal_value(results: Results, column: str) -> float:
     """Return the nominal value of a parameter; the median for a number from which parameters are computed."""
     if column.startswith("axis."):
         return float(results.rows[column].median())
-    return float(results.exp.system.nominal(column, results.exp.settings))
+    return float(results.exp.system.nominal_parameter_value(column, results.exp.settings))
 
 
 def draw_section(results: Results, chosen: MapSection) -> Figure:

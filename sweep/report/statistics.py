@@ -16,7 +16,7 @@ from sweep.config.experiment import Experiment
 from sweep.core.distinct_values import rank_distinct_values
 from sweep.core.errors import InputError
 from sweep.report.headline import describe_main_failure, study_headline
-from sweep.report.labels import heading
+from sweep.report.labels import label_with_unit
 from sweep.report.tables import markdown_table
 from sweep.runs import refine
 from sweep.runs.results import Results
@@ -176,5 +176,5 @@ def labelled_sections(results: Results) -> Iterator[tuple[str, pd.DataFrame | st
         return
     for title, content in list(statistics_sections(results.rows, results.exp))[1:]:  # the first is the headline
         if isinstance(content, pd.DataFrame) and "axis" in content:
-            content = content.assign(axis=content["axis"].map(partial(heading, exp=results.exp)))
+            content = content.assign(axis=content["axis"].map(partial(label_with_unit, exp=results.exp)))
         yield title, content

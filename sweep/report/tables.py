@@ -220,6 +220,6 @@ def varied_parameters(results: Results) -> Iterator[dict[str, Any]]:
         few = len(listed) <= 6
         extent = (", " if few else " to ").join(map(format_value, listed if few else (listed[0], listed[-1])))
         own = not name.startswith("axis.")  # else a number that parameters are made from
-        usual = format_value(results.exp.system.nominal(name, results.exp.settings)) if own else ""
+        usual = format_value(results.exp.system.nominal_parameter_value(name, results.exp.settings)) if own else ""
         about = {"words": words[name], "path": path, "side": side, "unit": column_unit(name, results.exp)}
         yield {**about, "values": extent, "number": len(listed), "nominal": usual}

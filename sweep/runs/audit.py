@@ -60,14 +60,14 @@ def run_audit(
     folder = path_inside_folder(results.folder, AUDIT_FOLDER)
     folder.mkdir(exist_ok=True)
     for name in variants or available:
-        refusal = simulate_variant(exp, available[name], points, path_inside_folder(folder, name), progress)
+        refusal = simulate_audit_variant(exp, available[name], points, path_inside_folder(folder, name), progress)
         if refusal and variants:
             raise refusal
         if refusal and on_message:
             on_message(f"audit: {name} is left out: {refusal}")
 
 
-def simulate_variant(
+def simulate_audit_variant(
     exp: Experiment, variant: AuditVariant, points: pd.DataFrame, folder: Path, progress: runner.ProgressCallback
 ) -> InputError | None:
     """Simulate points again in a variant, as far as the variant's folder lacks them.
@@ -122,7 +122,11 @@ def make_variant_study(
     changed = {}
     for path, change in variant.columns.items():
         column = f"world.{path}" if f"world.{path}" in points else path
-        values = points[column] if column in points else pd.Series(exp.system.nominal(path, settings), points.index)
+        values = (
+            points[column]
+            if column in points
+            else pd.Series(exp.system.nominal_parameter_value(path, settings), points.index)
+        )
         changed[column] = values.map(change)
     study = {**exp.values["study"], "keep": []}
     variant_exp = build_experiment({**exp.values, "study": study, "engine": asdict(settings), "out": str(folder)})

@@ -112,7 +112,7 @@ def _find_inactive(
     static = [c for c in levels if needs_recompilation(c, exp.system, exp.settings)]
     swept = {c: values for c, values in levels.items() if c not in static}
     middle = table.iloc[len(table) // 2]
-    nominal = {c: exp.system.nominal(c, exp.settings) for c in parameter_columns(table)}
+    nominal = {c: exp.system.nominal_parameter_value(c, exp.settings) for c in parameter_columns(table)}
     nominal |= {c: middle[c] for c in nominal if c == ENGINE_COLUMN}
     acts = {c: np.zeros(len(values) - 1, dtype=bool) for c, values in levels.items()}
 

@@ -20,7 +20,7 @@ from sweep.runs.audit import (
     AUDIT_FOLDER,
     apply_stored_engine_settings,
     select_point_columns,
-    simulate_variant,
+    simulate_audit_variant,
 )
 from sweep.runs.results import Results
 from sweep.study.columns import VERDICT_COLUMNS
@@ -67,7 +67,7 @@ def run_engine_audit(
     for name in others:
         variant = AuditVariant(f"on {name}", lambda settings, name=name: exp.system.select_engine(settings, name))
         folder = engine_study_folder(results.folder, name)
-        refusal = simulate_variant(exp, variant, points, folder, progress)
+        refusal = simulate_audit_variant(exp, variant, points, folder, progress)
         if refusal and not is_every:
             raise refusal
         if refusal:

@@ -310,7 +310,7 @@ def run_job(job: Job, progress: ProgressCallback, dispatch: DispatchFunction = m
             if done.entry is None:
                 out_of_memory.append(done)
                 continue
-            rows = register_finished_part(job, done, done.entry)
+            rows = add_batch_to_manifest(job, done, done.entry)
             if done.device not in record.devices:
                 record.devices.append(done.device)
                 write_study_file(job, record)
@@ -325,7 +325,7 @@ def run_job(job: Job, progress: ProgressCallback, dispatch: DispatchFunction = m
     return job
 
 
-def register_finished_part(job: Job, done: "FinishedBatch", entry: ManifestEntry) -> pd.DataFrame:
+def add_batch_to_manifest(job: Job, done: "FinishedBatch", entry: ManifestEntry) -> pd.DataFrame:
     """Add the file of rows that a worker wrote to the manifest, so that its rows count; return outcomes and wall times.
 
     Args:

@@ -299,7 +299,7 @@ def write_verdicts(folder: Path, verdicts: pd.Series) -> None:
         Fault: The disk refuses the write.
     """
     stored = read_study(folder)
-    about = ManifestEntry("", 0, "", study=study_of_parts(folder), labels=stored["labels"])
+    about = ManifestEntry("", 0, "", study=read_study_digest(folder), labels=stored["labels"])
     table = pa.Table.from_pandas(verdicts.rename_axis("point_id").reset_index(), preserve_index=False)
     manifest.append_entries(folder, _write_listed(folder, f"{VERDICTS_FOLDER}/{verdicts.name}", table, about))
 
@@ -321,8 +321,8 @@ def read_verdicts(folder: Path) -> pd.Series | None:
     return rows.set_index("point_id")[VERDICT_COLUMNS[0]]
 
 
-def study_of_parts(folder: Path) -> str:
-    """Return the digest of the study that a folder's current parts name; empty without parts."""
+def read_study_digest(folder: Path) -> str:
+    """Read the digest of the study whose rows a folder holds; empty without rows."""
     return next((entry.study for entry in list_current_parts(folder)), "")
 
 

@@ -345,7 +345,7 @@ def make_points(
     if study.points:
         design = _from_csv(study.points)
     else:
-        told = partial(system.nominal, settings=settings)
+        told = partial(system.nominal_parameter_value, settings=settings)
         if study.is_adaptive and round_ is None:
             _check_ends(study, system, settings)
             round_ = next(study.adaptive_design.start_search(study.draw_context))
@@ -428,7 +428,7 @@ def extreme_points(study: Study, system: System, settings: EngineSettings) -> "p
     Returns:
         Points table; empty where no axis is drawn.
     """
-    told = partial(system.nominal, settings=settings)
+    told = partial(system.nominal_parameter_value, settings=settings)
     return designs.make_design_table(
         study.axes, study.design, study.seed, told, round_=designs.extreme_draws(study.axes)
     )

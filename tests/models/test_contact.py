@@ -15,7 +15,7 @@ from sweep.dynamics.contacts import (
     contact_damping,
     contact_forces,
     contact_geometry,
-    no_anchors,
+    make_initial_anchors,
     transform_points_to_body,
     transform_points_to_world,
     update_anchors,
@@ -112,10 +112,12 @@ def test_anchors_keep_their_form_in_double_precision():
     """Or a step could not be repeated: faces that an obstacle works out are wider there."""
     foot = Vector.from_array(jnp.array([[0.1, 0.0, 0.0999]]))
     surface, still = Kerb().surface(foot.array(), (-1,), NOWHERE), Vector.from_array(jnp.zeros((1, 3)))
-    geometry, place = contact_geometry(CONTACT, surface, no_anchors(1, jnp.float64), foot, ())
+    geometry, place = contact_geometry(CONTACT, surface, make_initial_anchors(1, jnp.float64), foot, ())
     forces = contact_forces(CONTACT, geometry, still)
     after = update_anchors(CONTACT, surface, foot, (), place, forces, still, H)
-    assert [x.dtype for x in jax.tree.leaves(after)] == [x.dtype for x in jax.tree.leaves(no_anchors(1, jnp.float64))]
+    assert [x.dtype for x in jax.tree.leaves(after)] == [
+        x.dtype for x in jax.tree.leaves(make_initial_anchors(1, jnp.float64))
+    ]
 
 
 @pytest.mark.parametrize("bodies", [1, 2, 3])

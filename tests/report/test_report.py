@@ -221,4 +221,4 @@ def test_theory_that_means_nothing_is_refused_at_once(key, value, complaint):
 def test_a_map_is_over_parameters_that_do_not_follow_from_one_another(rows):
     """A ratio and the length that it gives are one parameter."""
     ratio = rows.assign(**{"axis.step": rows["manoeuvre.half_step_ratio"] * 2}).iloc[:, ::-1]
-    assert maps.map_axes(ratio, ()) == ("axis.step", "world.contact.friction")
+    assert maps.choose_map_axes(ratio, ()) == ("axis.step", "world.contact.friction")

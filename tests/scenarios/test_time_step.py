@@ -26,7 +26,7 @@ def outcomes(name: str, engine: str) -> pd.DataFrame:
         first = rows.iloc[[0]].copy()
         for column in parameter_columns(rows):
             if column != path:
-                first[column] = exp.system.nominal(column, exp.settings)
+                first[column] = exp.system.nominal_parameter_value(column, exp.settings)
         rows = pd.concat([first, rows], ignore_index=True).assign(width=len(rows) + 1)
         simulation, one = make_engine(exp, make_nominal_batch(exp, rows, len(rows))), make_batch(exp, rows)
         figures = simulation.run(one.world, one.belief, one.streams)

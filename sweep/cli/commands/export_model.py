@@ -5,7 +5,7 @@ from pathlib import Path
 
 from sweep.cli.command import Command, Section
 from sweep.cli.exits import DONE
-from sweep.core.arguments import Arguments, is_value
+from sweep.core.arguments import Arguments, is_positional
 from sweep.core.errors import InputError
 from sweep.core.files import write_atomically
 
@@ -34,7 +34,7 @@ begin, policy, figures, PARAMETERS, FIGURES = make_controller(exp.case, exp.sett
 
 def add_arguments(parser: Arguments) -> None:
     """Add no flags: every word after `sweep export-model` is an override of the configuration."""
-    parser.others = is_value
+    parser.others = is_positional
     parser.usage = "sweep export-model scenario=NAME [group.name=value ...] out=DIR"
     parser.description = __doc__
     parser.epilog = EPILOG

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, cast
 
 from sweep.cli.command import Command, Section
 from sweep.cli.exits import DONE
-from sweep.core.arguments import Arguments, is_value
+from sweep.core.arguments import Arguments, is_positional
 from sweep.core.errors import InputError
 
 NUMBERS_PER_ROW = 12  # of a long term, so that rows fit on a screen
@@ -22,7 +22,7 @@ COMMAND = Command(
 
 def add_arguments(parser: Arguments) -> None:
     """Add the arguments of `sweep policy`: the scenario that selects the policy to check, and overrides."""
-    parser.others = is_value
+    parser.others = is_positional
     parser.add_argument("what", choices=["check"], help="evaluate the policy once, at the nominal start")
     parser.add_argument("scenario", help="scenario of the project, whose model has the policy")
 

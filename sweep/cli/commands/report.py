@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
         return write_comparison_page(args, found, folder)
     columns = tuple(find_column(found.rows, name) for name in (args.x, args.y) if name)
     if columns:
-        maps.map_axes(found.rows, columns)  # refuses before anything is written
+        maps.choose_map_axes(found.rows, columns)  # refuses before anything is written
     if args.pictures:
         representative.draw_pictures(found)
     if args.replays:

@@ -3,7 +3,7 @@
 import argparse
 
 from sweep.cli.command import Command, Section
-from sweep.core.arguments import Arguments, is_value
+from sweep.core.arguments import Arguments, is_positional
 from sweep.core.errors import InputError
 
 COMMAND = Command(Section.SIMULATE, "optimize the numbers of a plan")
@@ -25,7 +25,7 @@ examples:
 
 def add_arguments(parser: Arguments) -> None:
     """Add the flags of the search by `sweep tune`; all other words are values of the configuration."""
-    parser.others = is_value
+    parser.others = is_positional
     parser.allow_abbrev = False
     parser.usage = "sweep tune [group=choice ...] [group.name=value ...] out=FILE.yaml [flags]"
     parser.description = "Optimize the numbers of a plan until its margins reach their targets in all draws of a study."

@@ -22,7 +22,7 @@ from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.charts import Number
 from sweep.models.posture import Stance
 from sweep.planning.compile_plan import compile_plan
-from sweep.planning.moves import MoveContext, StandingState, initial_stance, plan_part_stages, read_part_numbers
+from sweep.planning.moves import MoveContext, StandingState, initial_stance, plan_part_stages, read_plan_part
 from sweep.planning.validation import are_plain_numbers
 
 
@@ -93,7 +93,7 @@ class BallClimb(BesideBallManoeuvre):
             press: pressure of feet on the ball (m), see `Stage.press`.
         """
         radius = belief.obstacle_of_type(Ball).radius
-        speed = self.push_speed * read_part_numbers(PushOffSpeed, belief, "push").speed
+        speed = self.push_speed * read_plan_part(PushOffSpeed, belief, "push").speed
         rolls = SupportMotion(TO_VELOCITY, jnp.zeros(3).at[0].set(speed), jnp.zeros(3).at[1].set(speed / radius))
         supports = {"free": (SupportMotion(),), "rests": (RESTS,), "rolls": (rolls,)}
         return ball_move_context(belief, radius, deepening, press, supports, (RIDE,))

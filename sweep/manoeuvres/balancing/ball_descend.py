@@ -33,7 +33,7 @@ from sweep.models.obstacles.ball import Ball
 from sweep.models.obstacles.charts import Number
 from sweep.models.robot import total_mass
 from sweep.planning.compile_plan import compile_plan
-from sweep.planning.moves import Move, make_standing_state, move_stages, read_moves, read_part_numbers
+from sweep.planning.moves import Move, make_standing_state, move_stages, read_moves, read_plan_part
 
 
 class FootholdCircle(NamedTuple):
@@ -115,7 +115,7 @@ class BallDescend(BesideBallManoeuvre):
 
     def stand_pose(self, belief: Case) -> StandPose:
         """Return the robot's pose on top of the ball, with its feet on the circle that the plan file gives."""
-        circle = self.circle_ratio * read_part_numbers(FootholdCircle, belief, "perch").circle
+        circle = self.circle_ratio * read_plan_part(FootholdCircle, belief, "perch").circle
         return stand_pose(belief, replace(self, circle_ratio=circle))
 
     def plan(self, belief: Case) -> Plan:

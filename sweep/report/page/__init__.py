@@ -30,7 +30,7 @@ from sweep.report import tables
 from sweep.report.figure import StudyFigure
 from sweep.report.figures import list_figures
 from sweep.report.headline import study_headline
-from sweep.report.labels import heading, hover_text, outcome_kind
+from sweep.report.labels import hover_text, label_with_unit, outcome_kind
 from sweep.report.page import data, opening
 from sweep.report.page.replay_data import ShownReplay, describe_replays, read_shown_replays
 from sweep.report.page.script import bundle_script, content_security_policy, load_page_template, style_sheet
@@ -250,7 +250,7 @@ def representative_values(representative: Representative, exp: Experiment) -> It
     names = [*(c for c in representative.row.index if "." in c), *(c for c in TELLING if c in representative.row)]
     for name in names:
         if shown := tables.format_value(representative.row[name]):
-            yield heading(name, exp), shown
+            yield label_with_unit(name, exp), shown
 
 
 def representative_picture_url(representative: Representative) -> str:

@@ -165,7 +165,7 @@ def outcome_kind_indices(rows: pd.DataFrame, kinds: list[dict[str, Any]]) -> np.
 def outcome_kinds_for_page(results: Results) -> list[dict[str, Any]]:
     """Return the outcome kinds that occur in a study, each with its label, colour and shape on the page."""
     counts, system = outcome_kind(results.rows).value_counts(), results.exp.system
-    known = [name for name in ("success", *system.causes) if name in counts]
+    known = [name for name in ("success", *system.cause_names) if name in counts]
     return [
         {
             "key": name,
@@ -281,7 +281,11 @@ def single_parameter_curves(results: Results) -> Iterator[dict[str, Any]]:
 
 def nominal_column_value(results: Results, column: str) -> float | None:
     """Return the nominal value of a parameter's column; None for a number from which parameters are computed."""
-    return None if column.startswith("axis.") else float(results.exp.system.nominal(column, results.exp.settings))
+    return (
+        None
+        if column.startswith("axis.")
+        else float(results.exp.system.nominal_parameter_value(column, results.exp.settings))
+    )
 
 
 def total_effects_of_refined_map(results: Results) -> dict[str, float] | None:

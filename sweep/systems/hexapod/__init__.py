@@ -100,7 +100,7 @@ class Hexapod:
     searched_ranges: plan_table.Ranges = dataclasses.field(default_factory=dict, compare=False)  # of the case's plan
 
     groups = tuple(f.name for f in dataclasses.fields(Case))
-    causes = outcome.CAUSE_MEANINGS
+    cause_names = tuple(outcome.CAUSE_MEANINGS)
     cause_meanings = staticmethod(outcome.cause_meanings)
     invalid_causes = tuple(outcome.INVALID_CAUSES)
     metric_names = frozenset({*outcome.COLUMN_MEANINGS, *outcome.BOOKKEEPING_COLUMNS})
@@ -192,7 +192,7 @@ class Hexapod:
             raise InputError(f"axis {column} cannot be varied: it is neither a single number nor a name")
         return found
 
-    def nominal(self, column: str, settings: EngineSettings) -> Any:
+    def nominal_parameter_value(self, column: str, settings: EngineSettings) -> Any:
         """Return the nominal value of a parameter of robot, obstacle, manoeuvre, engine settings or plan."""
         if split_side_prefix(column)[1].startswith("plan."):
             return self.parameter(column, settings).default
@@ -320,7 +320,7 @@ class Hexapod:
         found = np.zeros(len(rows), dtype=bool)
         for path, none in RANDOM_INPUTS.items():
             column = next((c for c in (f"world.{path}", path) if c in rows), None)
-            found |= (rows[column] if column else self.nominal(path, settings)) != none
+            found |= (rows[column] if column else self.nominal_parameter_value(path, settings)) != none
         return found
 
     def make_world_and_belief(self, values: ColumnValues) -> tuple[Case, Case]:
@@ -462,7 +462,7 @@ def _of_side(
     import pandas as pd
 
     column = next((c for c in (f"{side}.{path}", path) if c in table.columns), None)
-    return table[column] if column else pd.Series(system.nominal(path, settings), index=table.index)
+    return table[column] if column else pd.Series(system.nominal_parameter_value(path, settings), index=table.index)
 
 
 def _format_ends(low: float, high: float) -> str:

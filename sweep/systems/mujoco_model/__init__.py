@@ -121,9 +121,9 @@ class MujocoModel(ModelSpec):
     judge = staticmethod(label_rollouts)
 
     @property
-    def causes(self) -> dict[str, str]:
-        """Meaning of each cause of failure or invalidity, by name: the scenario's conditions and built-in causes."""
-        return {one.cause: one.meaning for one in self.conditions} | CAUSE_MEANINGS
+    def cause_names(self) -> tuple[str, ...]:
+        """Names of all causes of failure or invalidity: those of the scenario's conditions, then built-in ones."""
+        return tuple(self.cause_meanings(self.conditions))
 
     def cause_meanings(self, limits: tuple[Condition, ...]) -> dict[str, str]:
         """Return the meaning of each cause of failure by name; conditions contain their thresholds."""
@@ -227,7 +227,7 @@ class MujocoModel(ModelSpec):
         value = self.nominal_value(path) if path in self.parameters else getattr(shape, name)
         return dataclasses.field(default=value, metadata=terrain.PARAMETERS[name].metadata)
 
-    def nominal(self, column: str, settings: EngineSettings) -> Any:
+    def nominal_parameter_value(self, column: str, settings: EngineSettings) -> Any:
         """Return the nominal value of a parameter of the model or its settings."""
         root, _, name = column.partition(".")
         return getattr(settings, name) if root == "engine" else self.parameter(column, settings).default
@@ -432,7 +432,7 @@ class MujocoModel(ModelSpec):
         for one in limits:
             if one.cause == row["cause"] and one.threshold:
                 return f"{one.meaning} ({one.threshold[0]} {float(row[one.threshold[0]]):.4g})"
-        return self.causes.get(str(row["cause"]), "")
+        return self.cause_meanings(limits).get(str(row["cause"]), "")
 
 
 def build_nominal_system(values: Mapping[str, Any], kinds: ClassesByKind) -> SystemSetup:
