@@ -46,7 +46,9 @@ class PushColumns(NamedTuple):
 
 
 class System(Protocol):
-    """Interface of a simulated system (robot, environment, controller) with nominal parameters. Equal ones act alike.
+    """Interface of a simulated system (robot, environment, controller) with nominal parameters.
+
+    Systems that compare equal simulate alike.
 
     A column is the path of a parameter such as `contact.friction`, or `engine.name`, prefixed `world.` or `belief.`
     where only one side has it.

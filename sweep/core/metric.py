@@ -110,7 +110,7 @@ class CommonTick(Protocol):
 
     @property
     def joint_torques(self) -> Array:
-        """Absolute torques of drives at hinge joints (..., v, k) in N m: v values of each of k groups."""
+        """Absolute torques (..., v, k) of hinge-joint drives in N m, for k groups of joints with v values each."""
         ...
 
     @property

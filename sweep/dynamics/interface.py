@@ -22,7 +22,7 @@ from sweep.models.legs import JOINT_NAMES, LEGS, N_LEGS
 
 @dataclass(frozen=True)
 class ModelTopology:
-    """Compiled MuJoCo model and its index tables, which do not depend on varied sizes and masses; made by `topology`.
+    """Compiled MuJoCo model and its index tables, which do not depend on varied sizes and masses.
 
     Contact points are the six feet, then the obstacle's sites.
     """

@@ -277,7 +277,7 @@ def iterate_nested_items(item: Any) -> Iterator[Any]:
 
 
 def section_operands(part: KernelSection, needed: set[int]) -> Iterator[Node]:
-    """Yield the operands of all operations in a section of a GPU kernel, inner blocks included, branch indices not.
+    """Yield the operands of all operations in a section of a GPU kernel and its inner blocks, without branch indices.
 
     Args:
         part: the part.

@@ -184,7 +184,7 @@ def engine_outcome_table(outcomes: pd.DataFrame) -> pd.DataFrame:
     return counted.sort_values("rollouts", ascending=False, ignore_index=True)[[*columns, "rollouts", AGREE]]
 
 
-def undecided_region(results: Results) -> pd.DataFrame:
+def disagreement_region(results: Results) -> pd.DataFrame:
     """Return the range along each numeric parameter of the rows on which engines do not agree.
 
     Args:
@@ -194,8 +194,8 @@ def undecided_region(results: Results) -> pd.DataFrame:
         A row for each parameter (`axis`): `from` and `to` of these rows, and of all audited rows.
     """
     audited = audited_rows(results)
-    undecided = audited[audited[AGREE] == NO]
+    disagreed = audited[audited[AGREE] == NO]
     lines = [
-        (c, undecided[c].min(), undecided[c].max(), audited[c].min(), audited[c].max()) for c in results.numeric_columns
+        (c, disagreed[c].min(), disagreed[c].max(), audited[c].min(), audited[c].max()) for c in results.numeric_columns
     ]
-    return pd.DataFrame(lines if len(undecided) else [], columns=["axis", "from", "to", "audited from", "audited to"])
+    return pd.DataFrame(lines if len(disagreed) else [], columns=["axis", "from", "to", "audited from", "audited to"])

@@ -116,7 +116,7 @@ def make_overview_parser() -> Arguments:
 
 
 class HelpFormatter(argparse.RawDescriptionHelpFormatter):
-    """Formats help whose indented lines stay whole, as commands have to, while paragraphs are wrapped."""
+    """Help formatter that wraps paragraphs but keeps indented lines, such as commands, as they are."""
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         parts = []

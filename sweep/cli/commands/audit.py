@@ -80,6 +80,6 @@ def run_on_engines(args: argparse.Namespace) -> int:
     interval = f" ({format_percent(rate.low)} to {format_percent(rate.high)})" if rate.has_interval else ""
     print(f"all engines agree on {rate.successes:,} of {rate.total:,} rows: {format_percent(rate.share)}{interval}")
     terminal.print_markdown(tables.markdown_table(engine_audit.engine_outcome_table(outcomes)) + "\n")
-    if len(region := engine_audit.undecided_region(found)):
+    if len(region := engine_audit.disagreement_region(found)):
         terminal.print_markdown(f"Where they do not agree:\n\n{tables.markdown_table(region, found.exp)}\n")
     return DONE

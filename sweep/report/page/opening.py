@@ -88,7 +88,7 @@ def describe_region(results: Results) -> tuple[dict[str, Any], DerivedColumn] | 
         f"With {100 * confidence:.4g} % confidence, at most {100 * failures:.4g} % of the draws inside this {shape} "
         f"fail. It holds {format_percent(share)} of all draws; of {fresh:,} fresh draws in it, {failed:,} failed."
     )
-    order = rank_by_cut(x, inside)[:MAX_OUTLINED]
+    order = rank_parameters_by_effect(x, inside)[:MAX_OUTLINED]
     outlines = [
         {"x": region.names[i], "y": region.names[j], "lines": outline_region(region, x, inside, i, j)}
         for i, j in combinations(order, 2)
@@ -99,8 +99,8 @@ def describe_region(results: Results) -> tuple[dict[str, Any], DerivedColumn] | 
     return about, column
 
 
-def rank_by_cut(x: np.ndarray, inside: np.ndarray) -> list[int]:
-    """Return the parameters by how strongly a region cuts them, the strongest first.
+def rank_parameters_by_effect(x: np.ndarray, inside: np.ndarray) -> list[int]:
+    """Rank parameters by how much their values differ between the inside and the outside of a region, largest first.
 
     Args:
         x: values (n, d) of the parameters.

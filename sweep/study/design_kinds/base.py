@@ -31,7 +31,7 @@ GRIDS = FULL, ONE_AT_A_TIME = "full", "one_at_a_time"  # how listed axes are com
 
 
 class SamplingUnit(NamedTuple):
-    """What a design draws independently, such as a draw or a trajectory; its rows count as one observation."""
+    """Unit that a design draws independently, such as a draw or a trajectory; its rows count as one observation."""
 
     name: str
     # whether draws of a unit are spread more evenly than independent ones: intervals then follow from the spread

@@ -132,7 +132,7 @@ def make_initial_batch(
     limits = {name: batch.expand(name) for name in ("actuator_forcerange", "jnt_range")}
     if ground:
         limits |= ground.metric_inputs(batch.expand("geom_pos")[:, terrain.find_terrain_geom(model)])
-    acting = make_pushes(spec, world, streams)
+    acting = make_batch_disturbances(spec, world, streams)
     acting = acting._replace(motors=motors.make_motor_limits(spec.motors, numbers, batch))
     is_random = any(np.any(numbers[path]) for path in numbers if path.startswith(f"{initial_state.RANDOM}."))
     count = initial_state.count_random_numbers(spec.model)
@@ -143,8 +143,10 @@ def make_initial_batch(
     return InitialBatch(*start, ground, spec.model)
 
 
-def make_pushes(spec: ModelSpec, world: ParameterOverrides, streams: np.ndarray) -> disturbances.Disturbances:
-    """Make the pushes and command delays that act on a batch, without motor limits.
+def make_batch_disturbances(
+    spec: ModelSpec, world: ParameterOverrides, streams: np.ndarray
+) -> disturbances.Disturbances:
+    """Make the disturbances that act on a batch: pushes and command delays, but no motor limits.
 
     Args:
         spec: The model with its scenario.

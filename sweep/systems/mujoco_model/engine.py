@@ -167,7 +167,7 @@ class ModelEngine:
             found, frames, models = self._simulate_columns(world, belief, streams, slots, 1)
         time, *recorded = (np.stack(values) for values in zip(*frames, strict=True))
         with self._within():
-            acting = batch.make_pushes(self._spec, world, streams)
+            acting = batch.make_batch_disturbances(self._spec, world, streams)
         traces = []
         for k, slot in enumerate(slots):
             row = {name: values[slot] for name, values in found.items()}

@@ -234,7 +234,7 @@ def _find_row_contacts(numbers: ModelFieldValues, smooth: SmoothTerms, row: Pair
 def join_motions(
     motions: Mapping[int, SpatialVector] | Sequence[SpatialVector], bodies: tuple[BodyMember, ...]
 ) -> SpatialVector:
-    """Return the motions of a row's bodies, from those of all stacks."""
+    """Join the motions of the bodies in a row of geom pairs into one vector, from the motions of all stacks."""
     parts = [[motions[s][k].stack_member(m) for s, m in bodies] for k in range(2)]
     return SpatialVector(join_vectors(parts[0]), join_vectors(parts[1]))
 
