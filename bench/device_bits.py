@@ -131,7 +131,8 @@ def evaluate_functions(file: str) -> int:
         outside = eager.trace_numpy_program(function_values, *one)(INPUTS, *given)
     else:
         code = launch.compile_to_ptx(tick, one, like, lambda carry: carry["over"], 1, 0, INPUTS)
-        within, _ = jax.jit(lambda *x: launch.run_kernel(code, *x, jnp.int32(0), None))(given, start)
+        run = jax.jit(lambda given, carry: launch.run_kernel(code, given, carry, jnp.int32(0), None))
+        within, _ = run(given, start)
         outside = jax.jit(jax.vmap(function_values))(*given)
     both: Any = {}
     for name in outside:
@@ -208,7 +209,7 @@ def recorded_columns(scenario: str) -> list[str]:
 
 def compare_rows(a: Path, b: Path) -> tuple[int, int, int]:
     """Count bit-equal rows and equal outcomes of two folders, and all rows."""
-    pairs = compare.pair_rows(*(store.read_rows(folder) for folder in (a, b)))
+    pairs = compare.pair_rows(store.read_rows(a), store.read_rows(b))
     alike = ~compare.outcome_change_mask(pairs)
     return int((compare.bit_equal_mask(pairs) & alike).sum()), int(alike.sum()), len(pairs)
 

@@ -5,7 +5,7 @@ research/certainty.md cites; models of another call stay in it. Three models wit
 over, a tripod on sprung legs, and the quadruped of `sweep init --model`. The spread of the push is chosen so that about
 one of a thousand draws fails. Fresh plain draws give the probability; repeated importance sampling, all repetitions
 side by side, shows how often its interval holds it. `formulas` as a model does so with formulas in place of rollouts,
-and rounds of several sizes.
+and rounds of several sizes. `draw` as an engine draws the intervals of what the file has.
 """
 
 import contextlib
@@ -29,6 +29,7 @@ from sweep.analysis.intervals import clopper_pearson
 from sweep.backends.run_id import describe_device
 from sweep.config.experiment import compose
 from sweep.contract.engine_settings import EngineSettings
+from sweep.core.plot_style import LEG_COLORS, new_figure, plot_style, save_figure
 from sweep.core.provenance import version_record
 from sweep.runs.batches import make_engine, make_nominal_batch
 from sweep.study import importance_sampling
@@ -39,6 +40,7 @@ from sweep.study.study import make_points
 
 FILE = shared.DATA / "rare_models.json"
 NUM = int(os.environ.get("RARE_NUM", "2048"))  # draws of a round, as in conf/study/any_rare.yaml
+HOLDS, MISSES = LEG_COLORS[0], LEG_COLORS[5]  # colours of intervals
 TRIED, WIDTH = 256, int(os.environ.get("RARE_WIDTH", "65536"))  # pushes tried, rollouts of a batch
 TARGET, TRIALS = 1e-3, 4  # probability that the spread of the push aims at, batches that look for it
 HEAD = ["model", "failures of plain draws", "probability", "median of the searches", "rollouts of a search",
@@ -160,8 +162,8 @@ def run_searches(rollouts: Rollouts, searches: int) -> list[FailureEstimate]:
     return [found[k] for k in range(searches)]
 
 
-def measure_model(name: str, engine: str, searches: int, plain: int) -> list[str]:
-    """Return a line of the table: the probability by plain draws, and how often the interval of a search holds it."""
+def measure_model(name: str, engine: str, searches: int, plain: int) -> dict[str, Any]:
+    """Return the probability by plain draws, the intervals of searches, and how many hold it as a line of a table."""
     rollouts = Rollouts(write_study(name, 1.0, 3.0), engine)
     used, failed, counted = find_spread(rollouts, name), 0, 0
     while counted < plain:
@@ -174,9 +176,10 @@ def measure_model(name: str, engine: str, searches: int, plain: int) -> list[str
     reliable = [one.is_reliable for one in found]
     median = float(np.median([one.probability for one in found]))
     both = sum(a and b for a, b in zip(held, reliable, strict=True))
-    return [MODELS[name][0], f"{failed} of {counted:,}", f"{truth:.2g} ({low:.2g} to {high:.2g})", f"{median:.2g}",
-            f"{3 * NUM:,}", f"{sum(held)} of {searches}", f"{touched} of {searches}", f"{sum(reliable)} of {searches}",
-            f"{both} of {sum(reliable)}"]  # fmt: skip
+    row = [MODELS[name][0], f"{failed} of {counted:,}", f"{truth:.2g} ({low:.2g} to {high:.2g})", f"{median:.2g}",
+           f"{3 * NUM:,}", f"{sum(held)} of {searches}", f"{touched} of {searches}", f"{sum(reliable)} of {searches}",
+           f"{both} of {sum(reliable)}"]  # fmt: skip
+    return {"row": row, "truth": [low, truth, high], "intervals": [one.interval for one in found]}
 
 
 def fails_in_three_ways(normal: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -225,8 +228,33 @@ def join_tables(every: shared.Scenarios) -> dict[str, shared.Table]:
     return {"models": [HEAD, *models], "formulas": [head, *every.get("formulas", {}).get("rows", [])]}
 
 
+def draw_intervals(every: shared.Scenarios) -> None:
+    """Draw the intervals of all searches of each model around the probability by plain draws."""
+    shown = {name: every[name] for name in MODELS if "intervals" in every.get(name, ())}
+    if not shown:
+        return
+    with plot_style():
+        figure = new_figure(2.2)
+        for ax, (name, one) in zip(figure.subplots(1, len(shown), squeeze=False)[0], shown.items(), strict=True):
+            low, truth, high = one["truth"]
+            ax.axhspan(low, high, color="0.85", lw=0)
+            for k, (start, end) in enumerate(sorted(one["intervals"])):
+                holds = start <= truth <= end
+                ax.plot([k, k], [start, end], lw=0.8, color=HOLDS if holds else MISSES)
+            ax.axhline(truth, color="black", lw=0.6)
+            ax.set(
+                title=name,
+                yscale="log",
+                xlabel="search",
+                ylabel="P(failure)" if ax.get_subplotspec().is_first_col() else None,
+            )
+        save_figure(figure, shared.FIGURES / "rare_models.png")
+
+
 def main(engine: str = "kernel", searches: str = "100", plain: str = "400000", *names: str) -> None:
     """Simulate models, by default all, and add them to the table."""
+    if engine == "draw":
+        return draw_intervals(shared.read_scenarios(FILE))
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
         for name, text in FILES.items():
             Path(name).write_text(text)
@@ -239,9 +267,9 @@ def main(engine: str = "kernel", searches: str = "100", plain: str = "400000", *
                 print(*rows, sep="\n", flush=True)
                 found, device = {"rows": rows}, describe_device(EngineSettings(name="native"))
             else:
-                row = measure_model(name, engine, int(searches), int(plain))
-                print(row, flush=True)
-                found, device = {"row": row}, describe_device(EngineSettings(name=engine))
+                found = measure_model(name, engine, int(searches), int(plain))
+                print(found["row"], flush=True)
+                device = describe_device(EngineSettings(name=engine))
             content = {"device": device, **version_record(), "seconds": time.perf_counter() - start, **found}
             shared.add_scenario(
                 shared.DATA / "rare_models.json",
