@@ -15,6 +15,7 @@ import yaml
 
 from sweep.cli.main import main
 from sweep.cli.plan_limits import describe_separating_sizes
+from sweep.cli.plan_rollouts import score_ends
 from sweep.cli.plan_search import nominal_drawn_parameters, tuned_plan_content
 from sweep.config.experiment import compose
 from sweep.core.errors import InputError
@@ -148,6 +149,21 @@ def test_what_draws_want_is_found_and_an_interrupted_search_goes_on(by, ends, of
     assert rest.asked == whole.asked - ends
     with pytest.raises(InputError, match="log belongs to another search"):
         by(rest, {**how, "seed": 2}, tmp_path / "log")
+
+
+def test_a_rollout_scores_by_the_stages_before_the_one_that_fails_and_by_its_margin():
+    labels = {
+        "outcome": np.array(["success", "success", "failure", "failure", "invalid"], object),
+        "stage": np.array(["", "", "up", "over", "stand"], object),
+        "margin": np.array([0.1, 0.9, -0.5, -7.0, np.nan], object),
+    }
+    np.testing.assert_allclose(score_ends(labels, ("stand", "up", "on", "over")), [1.1, 1.2, -0.25, -0.25, -1.0])
+
+
+def test_a_search_by_rollouts_refuses_what_margins_need(tmp_path, capsys):
+    words = ["tune", "scenario=pole_top", f"study={STUDIES / 'pole_loads.yaml'}", f"out={tmp_path / 'x.yaml'}"]
+    assert main([*words, "--by-rollouts", "--forces"]) == 2
+    assert "--forces is not allowed with --by-rollouts" in capsys.readouterr().err
 
 
 def test_numbers_are_free_by_pattern_times_only_by_a_step():

@@ -147,13 +147,17 @@ def tune_plan_by_rollouts(
             points = rollouts.draw_points(exp.study.seed + number)
             return points, rollouts.relative_sizes(points) if sizes else np.ones((len(points), 1))
 
+        def tell(done: int, mean: float) -> None:
+            words = f"mean score {mean:.4g}" if done else "first round of rollouts"
+            shown.update(task, completed=done, description=words)
+
         changes = tuning.search_by_rollouts(
             draw,
             rollouts.scores,
             np.array(list(steps.values())),
             how,
             log,
-            lambda done, mean: shown.update(task, completed=done, description=f"mean score {mean:.4g}"),
+            tell,
         )
     first = np.array(list(numbers.values()))
     last = exp.study.seed + args.generations - 1
