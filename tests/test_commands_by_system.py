@@ -80,6 +80,7 @@ def lines(system):
         "replay --mcap": ["replay", "a", "1", "--mcap", "r.mcap"],
         "replay --states": ["replay", "a", "1", "--states", "states.parquet"],
         "view": ["view", "a", "1", "-o", "v.html"],
+        "log": ["log", "a", "--tensorboard", "runs"],
         "policy check": ["policy", "check", CHECKED[system]],
         "tune": ["tune", *TUNED[system], "--check"],
         "export-model": ["export-model", *EXPORTED[system], "out=exported"],
