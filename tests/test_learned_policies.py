@@ -12,9 +12,11 @@ import onnxruntime
 import pandas as pd
 import pytest
 import yaml
+from onnx import helper
 from onnx.reference import ReferenceEvaluator
 from robots import HOME, save_lstm, save_perceptron, save_trot, write_project
 from small_study import one_line
+from test_onnx_networks import save_graph
 
 from sweep.analysis import first_differences
 from sweep.cli.commands import policy as policy_command
@@ -174,6 +176,16 @@ def compare_with_plain_loop(folder, shape, engine, legs=4, precision="float64", 
 
 
 STILL = "observation: [{term: constant, values: [1.0]}]\ncommands: {velocity_x: 0.0}\n"
+
+
+def test_one_process_runs_the_same_network_in_either_precision(here):
+    write_project(here, JOYSTICK)
+    nodes = [helper.make_node("Mul", ["obs", "scale"], ["x"]), helper.make_node("MatMul", ["x", "w"], ["action"])]
+    weights = {"scale": np.full(48, 0.1), "w": np.full((48, 12), 0.01)}
+    save_graph(Path("walk.onnx"), nodes, {"obs": [1, 48]}, {"action": [1, 12]}, weights)
+    for precision in ("float32", "float64"):
+        words = ["model.duration=0.1", "study.replicates=2", "study.replays=0", "study.expect=[]"]
+        assert main(["run", "study=one", f"engine.precision={precision}", *words, f"out={precision}"]) == 0
 
 
 def drawn(action, weight, *words):

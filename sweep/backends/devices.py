@@ -29,6 +29,7 @@ NUMPY_WIDTH = 256  # largest batch whose plans and metrics NumPy computes before
 PLANNING_WIDTH = 1024  # rollouts that plan at a time on a GPU; planning with calibration takes 6 MiB each
 NVIDIA_DEVICE_FILES = "/dev/nvidia[0-9]*"
 GPU_ROLLOUT_BYTES = 64 << 10  # generous: 10 to 31 KiB were measured
+_precision_of_user_code: list[str] = []  # in which it was last traced in this process
 
 
 def configure_jax() -> None:
@@ -87,6 +88,20 @@ def convert_memory_errors() -> Iterator[None]:
 def precision_context(settings: EngineSettings) -> contextlib.AbstractContextManager:
     """Context that enables double precision in JAX if the engine settings ask for it."""
     return jax.enable_x64(settings.precision == "float64")
+
+
+def forget_constants_of_other_precision(precision: str) -> None:
+    """Clear JAX's caches if user code was last traced in another precision.
+
+    JAX knows a NumPy array by its identity: one that a controller, or a network, holds as a constant would keep the
+    precision in which it was first traced, and the next program would not compile.
+
+    Args:
+        precision: `float32` or `float64`, in which user code is traced next.
+    """
+    if _precision_of_user_code not in ([], [precision]):
+        jax.clear_caches()
+    _precision_of_user_code[:] = [precision]
 
 
 def cpu_context() -> contextlib.AbstractContextManager:

@@ -100,6 +100,7 @@ class ModelEngine:
     def _within(self) -> Iterator[None]:
         """The precision that JAX reckons in. Raises `InputError` where MuJoCo has no room for a step of the model."""
         try:
+            devices.forget_constants_of_other_precision(self._settings.precision)
             with devices.precision_context(self._settings):
                 yield
         except SimulationError as error:
