@@ -8,4 +8,7 @@ import pytest
 
 def mark_slow_cases(cases: Iterable[Any], slow: Collection[Any]) -> list[Any]:
     """Return the cases of `parametrize` or of a fixture, those in `slow` with the marker `slow`."""
-    return [pytest.param(case, marks=pytest.mark.slow) if case in slow else case for case in cases]
+    return [
+        pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.slow) if case in slow else case
+        for case in cases
+    ]

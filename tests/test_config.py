@@ -36,6 +36,7 @@ def test_a_class_is_a_choice_without_a_file(group, classes):
     assert all(shipped_group_choices(group).values())
 
 
+@pytest.mark.slow
 def test_a_manoeuvre_on_an_obstacle_that_it_is_not_for_is_refused_in_one_line():
     nominal, fits, refusals = compose_values([]), set(), {}
     values = {

@@ -44,7 +44,7 @@ GRID = {name: {"path": f"controller.{name}", "from": 0, "to": 1, "num": 21} for 
 IDS = [f"{case.kind}, {case.interval}, {case.setting}" for case in CASES]
 
 
-@pytest.mark.parametrize("case", CASES, ids=IDS)
+@pytest.mark.parametrize("case", CASES[::2], ids=IDS[::2])
 def test_an_interval_holds_as_often_as_it_says(case):
     held, printed = simulate(case, FEW)
     assert held >= binom.ppf(CONSISTENT, printed, COVERS)

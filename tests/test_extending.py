@@ -14,6 +14,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from slow_cases import mark_slow_cases
 
 from sweep.config.experiment import compose
 from sweep.controllers.plan import stage_end_stances
@@ -23,6 +24,7 @@ from sweep.models.obstacles.surface import empty_free_body_state
 ROOT = Path(__file__).parents[1]
 OBSTACLE, MANOEUVRE, PLATFORM, CHART = "write_an_obstacle", "write_a_manoeuvre", "write_a_plan", "write_a_chart"
 SIMULATED = MANOEUVRE, PLATFORM, CHART  # with the real engine
+SLOW = {*SIMULATED, "write_a_plan_variant", "write_a_metric"}  # from 30 s on
 BLOCK = re.compile(r"(?:^`(?P<path>[^`]+)`\n\n)?^```(?P<kind>\w+)\n(?P<text>.*?)^```", re.M | re.S)
 SAID = {  # by the commands of a page
     "write_a_robot": ["long_legs            The base robot, thighs and shins a fifth longer", "| walk_tripod "],
@@ -123,9 +125,7 @@ def test_every_page_that_writes_files_is_followed():
     assert {page.stem for page in pages if any(path for path, *_ in blocks(page.read_text()))} == set(SAID)
 
 
-@pytest.mark.parametrize(
-    "title", [pytest.param(title, marks=pytest.mark.slow if title in SIMULATED else ()) for title in PAGES]
-)
+@pytest.mark.parametrize("title", mark_slow_cases(PAGES, SLOW))
 def test_a_page_followed_to_the_letter_adds_what_it_says(title, checkout):
     take_out(checkout, PAGES[title])
     program = ["-m", "sweep.cli"] if title in SIMULATED else [ROOT / "tests/fake_engine.py"]

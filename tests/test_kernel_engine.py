@@ -390,6 +390,7 @@ def test_stored_kernels_are_told_apart_by_schedules_and_motors(project):
         assert np.abs(here["travelled_m"] - fast["travelled_m"]).min() > 1e-4
 
 
+@pytest.mark.slow
 def test_models_are_an_axis(project):
     heavy = Path("quadruped.xml").read_text().replace('mass="8"', 'mass="9"')
     Path("heavy.xml").write_text(heavy)

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 from mujoco.batch import MODEL_FIELDS, Batch
+from slow_cases import mark_slow_cases
 
 from sweep.cli.main import main
 from sweep.core.errors import InputError
@@ -33,6 +34,9 @@ study: {{name: sled}}
 PUSH = "import jax.numpy as jnp\ndef policy(belief, seen, state, key): return jnp.array([4.0, 0.0]), state\n"
 
 
+ENGINES = pytest.mark.parametrize("engine", mark_slow_cases(["native", "mjx"], ["mjx"]))
+
+
 @pytest.fixture
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -49,7 +53,7 @@ def simulated(engine, iterations="100", custom="", height=0.0999, more=""):
     return store.read_rows(Path("sled")).iloc[0]
 
 
-@pytest.mark.parametrize("engine", ["native", "mjx"])
+@ENGINES
 def test_figures_are_those_of_a_pushed_sled(here, engine):
     """4 N push 2.1 kg to the left: v = F t / m, work F²t²/2m; the floor carries its weight all the time.
 
@@ -68,7 +72,7 @@ def test_figures_are_those_of_a_pushed_sled(here, engine):
     assert row["cause"] == ("" if engine == "native" else "buffer_full")
 
 
-@pytest.mark.parametrize("engine", ["native", "mjx"])
+@ENGINES
 def test_what_is_not_to_be_trusted_is_invalid(here, engine):
     """A sled that begins within the floor is thrown out of it, by energy from nowhere, and by a solver that stops."""
     row = simulated(engine, "3", height=0.05, more=", invalid: unsolved_share > 0")

@@ -78,6 +78,7 @@ def test_the_page_as_it_stands(tmp_path, monkeypatch):
     assert "load (world) [kg]" in Path("results/grip/report.html").read_text()
 
 
+@pytest.mark.slow
 def test_what_studies_do_works_on_it(here, capsys, monkeypatch):
     assert main(["run", *SHORT, "--limit", "5", "out=some"]) == 0
     assert main(["run", *SHORT, "out=some", "engine.width=8"]) == 2  # the engine's settings are the folder's
@@ -165,6 +166,7 @@ def test_a_row_has_its_bits_whatever_runs_beside_it(here):
 ONE_CORE = "import os, sys; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); from sweep.cli.main import main; "
 
 
+@pytest.mark.slow
 def test_a_row_has_its_bits_on_any_number_of_threads_and_cores(here, monkeypatch):
     """On more threads than there are cores, too; and in a process of its own that has one core, at another width."""
     few = ["study.axes.load.num=3", "study.axes.grip.num=4"]

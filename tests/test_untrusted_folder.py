@@ -97,7 +97,7 @@ LINKS = [store.STUDY_FILE, store.POINTS_FILE, manifest.MANIFEST_FILE, store.LOG_
          "parts", "part"]  # fmt: skip
 
 
-@pytest.mark.parametrize("name", mark_slow_cases(LINKS, [store.LOG_FILE, store.LOCK_FILE]))
+@pytest.mark.parametrize("name", mark_slow_cases(LINKS, [store.LOG_FILE, store.LOCK_FILE, "report.html"]))
 def test_a_link_that_leads_out_of_the_folder_is_not_followed(folder, secret, capsys, name):
     path = folder / (store.list_current_parts(folder)[0].file if name == "part" else name)
     if name == "parts":

@@ -9,6 +9,7 @@ import sys
 
 import pandas as pd
 import pytest
+from slow_cases import mark_slow_cases
 from small_study import FAKE, STUDY, one_line
 
 from sweep.cli.main import main
@@ -102,10 +103,10 @@ def test_a_user_without_a_home_or_our_letters_is_served(folder, tmp_path):
     assert len(store.read_rows(tmp_path)) == 56
 
 
-@pytest.mark.parametrize(
-    ("streams", "code"),
-    [(">&- 2>&-", 0), ("2> /dev/full", 0), ("> /dev/full", 5), ("2>&1 | true", 0), ("> /dev/full 2>&1", 5)],
-)
+STREAMS = [(">&- 2>&-", 0), ("> /dev/full", 5), ("2> /dev/full", 0), ("2>&1 | true", 0), ("> /dev/full 2>&1", 5)]
+
+
+@pytest.mark.parametrize(("streams", "code"), mark_slow_cases(STREAMS, STREAMS[2:]))
 def test_rows_are_kept_whatever_becomes_of_the_streams(tmp_path, streams, code):
     """Closed, full, or without a reader; a failing output is told, where it can be."""
     words = " ".join(f"'{word}'" for word in (sys.executable, str(FAKE), "run", *STUDY, f"out={tmp_path / 'o'}"))

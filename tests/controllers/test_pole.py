@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from playing import play_case, vary_lengths
-from slow_cases import mark_slow_cases
 
 from sweep.config.experiment import compose
 from sweep.controllers.plan import Plan, Stage, reference_stance, transform_plan
@@ -114,7 +113,8 @@ def test_the_pitch_rate_does_not_jump_between_stages(case):
     np.testing.assert_allclose(rates[:-1, 1], rates[1:, 0], rtol=1e-12)
 
 
-@pytest.mark.parametrize("seed", mark_slow_cases(range(2, 5), [3, 4]))
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2, 5))
 def test_no_link_is_in_the_pole(case, seed):
     """Nor in the base or another leg, for sizes up to 2 % off; feet pressed in by 5 mm as they are."""
     plan, at = play_case(vary_lengths(case, 0.02, seed))

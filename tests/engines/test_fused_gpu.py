@@ -259,7 +259,7 @@ def test_what_a_gpu_has_no_rule_for_is_named():
         both(lambda x: {"x": 2 * x}, some(3).astype(jnp.float64))
 
 
-@HOW
+@pytest.mark.parametrize("few", [pytest.param(False, id="many", marks=pytest.mark.slow), pytest.param(True, id="few")])
 def test_a_walk_is_that_of_the_cpu(monkeypatch, few):
     exp = compose(["scenario=walk_tripod", "manoeuvre.steps=1"])
     engine = MjxEngine(replace(exp.settings, width=WIDTH, compiler="fused"), exp.case, exp.case)

@@ -27,6 +27,7 @@ def test_nothing_is_left_out(errors):
     assert len(errors) - len(FIGURES) == 8  # the robot's stances
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*FIGURES, "the robot"])
 def test_what_is_known_comes_out(errors, name):
     chosen = {key: both for key, both in errors.items() if key == name or (name == "the robot" and key not in FIGURES)}

@@ -84,7 +84,11 @@ DESIGNS = {
     "budgeted": study(some(LISTED, "friction", "step"), "study.budget=60", "study.replicates=2",
                       "noise.position_noise=0.001"),
 }  # fmt: skip
-SLOW_DESIGNS = ["importance", "subset", "listed_by_400_drawn", "drawn_400", "refined_in_three"]  # over 5 s each
+# the fast ones have every kind of design and of axis
+SLOW_DESIGNS = [
+    *("importance", "subset", "listed_by_400_drawn", "drawn_400", "refined_in_three", "refined_by_a_name"),
+    *(f"{kind}_{n}" for kind in ("listed", "drawn") for n in (1, 3, 4, 5, 6)),
+]
 POINTS = {
     "one_point": {"world.contact.friction": [0.5]},
     "points_of_2": {"world.contact.friction": np.linspace(0.1, 1, 20), "robot.body_mass": np.linspace(12, 8, 20)},

@@ -86,6 +86,7 @@ def test_a_base_goes_on_until_the_mass_centre_is_over_the_feet_that_stand_next()
     assert at["over.rear3"].position[0] == pytest.approx((2 - 0.16) * 0.84, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_foot_stands_farther_where_the_mass_centre_had_no_room():
     """Check 3: on the ball, in its vertical plane."""
     case, at = planned(middle2_middle_ahead=0.26)
