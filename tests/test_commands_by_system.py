@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+from slow_cases import mark_slow_cases
 
 from sweep.cli import commands
 from sweep.cli.main import main
@@ -28,7 +29,7 @@ CHECKED = {"robot": "walk_tripod", "own": "own"}
 EXPORTED = {"robot": ["scenario=walk_tripod"], "own": ["scenario=own"]}
 
 
-@pytest.fixture(params=["robot", "own"])
+@pytest.fixture(params=mark_slow_cases(["robot", "own"], ["own"]))
 def system(request, fake_engine, tmp_path, monkeypatch):
     """A project with a small study of either, which the robot's fake engine takes no time for."""
     monkeypatch.chdir(tmp_path)

@@ -24,7 +24,7 @@ from sweep.models.obstacles.surface import empty_free_body_state
 ROOT = Path(__file__).parents[1]
 OBSTACLE, MANOEUVRE, PLATFORM, CHART = "write_an_obstacle", "write_a_manoeuvre", "write_a_plan", "write_a_chart"
 SIMULATED = MANOEUVRE, PLATFORM, CHART  # with the real engine
-SLOW = {*SIMULATED, "write_a_plan_variant", "write_a_metric"}  # from 30 s on
+SLOW = {*SIMULATED, "write_a_plan_variant", "write_a_metric", "write_a_study_design", "write_a_subcommand"}
 BLOCK = re.compile(r"(?:^`(?P<path>[^`]+)`\n\n)?^```(?P<kind>\w+)\n(?P<text>.*?)^```", re.M | re.S)
 SAID = {  # by the commands of a page
     "write_a_robot": ["long_legs            The base robot, thighs and shins a fifth longer", "| walk_tripod "],

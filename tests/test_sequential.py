@@ -60,6 +60,7 @@ def test_the_size_of_a_test_looked_at_once():
     assert np.mean(p <= 0.05) == pytest.approx(sequential.TEST_POWER, abs=0.04)  # the exact test is a little weaker
 
 
+@pytest.mark.slow
 def test_two_studies_grow_until_it_is_decided(fake_engine, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "draws.yaml").write_text(DRAWS)

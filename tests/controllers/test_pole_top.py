@@ -40,6 +40,7 @@ def test_it_ends_level_with_all_feet_on_the_top_off_the_rim(case):
     np.testing.assert_allclose(seen["position"][-1, -1], [0, 0, top + 0.62 * case.robot.body_length], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_it_follows_what_is_believed(case):
     random = np.random.default_rng(1)
     for _ in range(3):

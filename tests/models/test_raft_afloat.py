@@ -133,6 +133,7 @@ def test_buoyancy_is_that_of_four_columns():
     np.testing.assert_allclose(wrench, total, rtol=2e-12, atol=2e-12 * np.abs(total).max())
 
 
+@pytest.mark.slow
 def test_it_heaves_for_ever_without_drag(history):
     last = history.q[-round(2 / STEP) :, HEAVES, 27] - float(Raft().start().position[0, 2])
     assert np.abs(last).max() == pytest.approx(0.02, abs=1e-4)

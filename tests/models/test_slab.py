@@ -56,6 +56,7 @@ def momentum(nominal, history, row) -> np.ndarray:
     return np.array(total)
 
 
+@pytest.mark.slow
 def test_nothing_breaks(history):
     assert np.all(np.isfinite(history.q))
 

@@ -66,7 +66,7 @@ def test_structure_gives_mujocos_blocks(name, double):
             np.testing.assert_allclose(given, wanted, rtol=0, atol=tolerance * (1 + np.max(np.abs(wanted))))
 
 
-@pytest.mark.parametrize("name", ["base", "three_link", "slab"])
+@pytest.mark.parametrize("name", mark_slow_cases(["base", "three_link", "slab"], ["base", "slab"]))
 def test_momentum_goes_where_forces_send_it(name):
     """M (w - v) / h + bias = J' F + torques, with C MuJoCo's matrices: some feet are in the air.
 

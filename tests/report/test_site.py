@@ -35,6 +35,7 @@ def test_every_page_can_be_navigated_to():
     assert pages - {"README.md"} | evidence <= named
 
 
+@pytest.mark.slow
 @pytest.mark.browser
 @pytest.mark.skipif(CHROMIUM is None, reason="needs a browser: apt-get install chromium")
 def test_every_page_shows_its_pictures(site, tmp_path):

@@ -97,6 +97,7 @@ def test_a_foot_stands_farther_where_the_mass_centre_had_no_room():
     assert inside(case, at["over.front2"], (1, 2, 3, 4)) == pytest.approx(case.manoeuvre.spare, abs=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("ahead", "nearer"), [(-0.27, False), (-0.2, True)])
 def test_a_robot_squats_for_a_foot_that_is_too_far_and_then_sets_it_nearer(ahead, nearer):
     """Check 2: no lower than over the ball."""
