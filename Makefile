@@ -30,7 +30,7 @@ baseline: setup  # what the demo is compared with: renew it when results are mea
 	rm tests/data/ci_smoke/.lock tests/data/ci_smoke/log.txt
 
 test: setup lint types
-	$(BIN)/pytest -n 2
+	XLA_FLAGS=--xla_backend_optimization_level=1 $(BIN)/pytest -n 2  # programs of tests run once: compiling them is what takes long
 
 wheel: setup  # the wheel in an empty environment, run from an empty folder
 	jobs/wheel.sh $(or $(PYTHONS),$(PYTHON))
