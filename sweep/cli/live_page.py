@@ -8,7 +8,7 @@ from pathlib import Path
 
 from sweep.cli.run_progress import format_minutes
 from sweep.core.errors import InputError
-from sweep.report.page import LiveProgress
+from sweep.core.progress import LiveProgress
 from sweep.runs import store
 
 LEAST_INTERVAL_S = 5.0  # between two versions of the page

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 
 from sweep.core.errors import InputError
 from sweep.core.files import cache_folder, ensure_private_folder
@@ -19,6 +20,14 @@ DURATIONS_FILE = "waits.json"  # beside the compiled programs
 _begun: dict[str, float] = {}  # start times of running parts, by name
 _took: dict[str, float] = {}  # durations of finished parts (s), by name
 _compiled = 0.0  # s that this process has spent on compiling
+
+
+@dataclass(frozen=True)
+class LiveProgress:
+    """Progress of a run whose page reloads itself."""
+
+    text: str
+    reload_s: float  # after which the page loads its next version
 
 
 @contextmanager

@@ -1,5 +1,7 @@
 """A run ends with replays of a few rollouts, and the page opens on them."""
 
+import subprocess
+import sys
 import time
 
 import pytest
@@ -98,3 +100,8 @@ def test_the_first_replays_are_the_nominal_one_a_success_the_main_causes_and_a_p
     alike = [why for why in rows["why"] if why.startswith("typical of")]
     assert alike == [f"typical of {kind.replace('_', ' ')}" for kind in ("success", *causes)]
     assert set(rows[rows["why"].str.startswith("next to the boundary")]["outcome"]) == {"success", "failure"}
+
+
+def test_a_run_waits_for_no_plotting_library():
+    loaded = "import sys, sweep.cli.execution; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", loaded], check=False).returncode == 0

@@ -10,6 +10,7 @@ from sweep.cli.exits import DONE
 from sweep.core.arguments import Arguments
 from sweep.core.errors import InputError
 from sweep.core.files import path_inside_folder
+from sweep.core.progress import LiveProgress
 
 if TYPE_CHECKING:
     from sweep.runs.results import Results
@@ -88,7 +89,7 @@ def watch_page(args: argparse.Namespace) -> int:
 
     path = path_inside_folder(args.output or args.dir, "report.html")
 
-    def write(progress: "page.LiveProgress | None") -> None:
+    def write(progress: LiveProgress | None) -> None:
         found = results.read_results(args.dir, args.where, with_bookkeeping=False)
         columns = tuple(find_column(found.rows, name) for name in (args.x, args.y) if name)
         page.write_page(found, path, chosen=columns, live=progress)

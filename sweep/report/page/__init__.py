@@ -25,6 +25,7 @@ from sweep.config.experiment import Experiment
 from sweep.core.files import path_inside_folder, read_bytes_limited, write_atomically
 from sweep.core.outcomes import SUCCESS
 from sweep.core.plot_style import LEG_COLORS, plot_style
+from sweep.core.progress import LiveProgress
 from sweep.replay.arrows import FORCE_SCALE, FORCE_SHOWN
 from sweep.report import tables
 from sweep.report.figure import StudyFigure
@@ -100,14 +101,6 @@ class ComparisonPageContent:
     tables: list[tuple[str, pd.DataFrame]]
     sides: dict[str, pd.DataFrame]  # outcome and cause of each pair's rollout, by the name of the side
     folders: tuple[str, ...]  # names of the studies
-
-
-@dataclass(frozen=True)
-class LiveProgress:
-    """Progress of a run whose page reloads itself."""
-
-    text: str
-    reload_s: float  # after which the page loads its next version
 
 
 def render_page(
