@@ -47,8 +47,10 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     Axes,
     Scalar,
     Vector,
+    choose,
     clip,
     constant_vector,
+    keep_nearest,
     largest,
     rotate_to_body,
     rotate_to_world,
@@ -141,6 +143,10 @@ def _locate(numbers: ModelFieldValues, smooth: SmoothTerms, s: int, geoms: np.nd
     return place.origin + rotate_to_world(place.axes, numbers.get_vector("geom_pos", geoms)), axes
 
 
+def _constant_axes(ground: StaticGeom) -> Axes:
+    return constant_vector(ground.axes[:, 0]), constant_vector(ground.axes[:, 1]), constant_vector(ground.axes[:, 2])
+
+
 def _cylinder_points(
     numbers: ModelFieldValues, plane: CollisionPlane, geoms: np.ndarray, centre: Vector, axes: Axes
 ) -> list[Vector]:
@@ -206,7 +212,7 @@ def _hull_points(
         tilt = up.dot(normal)
         is_better = is_low & (tilt < best)
         best = where(is_better, tilt, best)
-        chosen = [_choose_vector(is_better, *both) for both in zip(places, chosen, strict=True)]
+        chosen = [choose(is_better, *both) for both in zip(places, chosen, strict=True)]
         lifts = [where(is_better, a, b) for a, b in zip(missing, lifts, strict=True)]
     return [(centre + rotate_to_world(axes, place), lift) for place, lift in zip(chosen, lifts, strict=True)]
 
@@ -245,7 +251,7 @@ def _find_nearest_of_field(
     if not radius.is_constant or numbers.is_varied("geom_pos", np.array([ground.geom])):
         raise unsupported_model_error("radii over height fields, and places of height fields, that differ")
     centre, _ = _locate(numbers, smooth, s, geoms)
-    own = constant_vector(ground.axes[:, 0]), constant_vector(ground.axes[:, 1]), constant_vector(ground.axes[:, 2])
+    own = _constant_axes(ground)
     local = rotate_to_body(own, centre + state.position - constant_vector(ground.position))
     contacts, is_unsure = find_field_contacts(numbers, ground.geom, local, radius)
     unsure.append(is_unsure)
@@ -274,7 +280,7 @@ def _find_nearest(
     is_moved = model.geom_bodyid[ground.geom] == 0 and numbers.is_varied("geom_pos", ids)
     place = numbers.get_vector("geom_pos", ids) if is_moved else constant_vector(ground.position)
     place = place - state.position
-    own = constant_vector(ground.axes[:, 0]), constant_vector(ground.axes[:, 1]), constant_vector(ground.axes[:, 2])
+    own = _constant_axes(ground)
     size = [numbers.get("geom_size", ids, k) for k in range(3)]
     if ground.kind == BOX:
         return _nearest_of_box(rotate_to_body(own, centre - place), radius, size, place, own)
@@ -329,24 +335,8 @@ def _select_nearest(
     kept: list[Nearest] = []
     least = Scalar(FAR)  # distance of what is left out
     for one in every:
-        rest = one
-        for k, other in enumerate(kept):
-            is_nearer = rest.distance < other.distance
-            kept[k], rest = _choose(is_nearer, rest, other), _choose(is_nearer, other, rest)
-        if len(kept) < AT_ONCE:
-            kept.append(rest)
-        else:
-            least = smallest(least, rest.distance)
+        dropped = keep_nearest(kept, one, AT_ONCE)
+        least = least if dropped is None else smallest(least, dropped)
     margin = find_contact_margin(numbers, geoms, np.array([ground]))
     unsure.append((least < margin).any())
     return kept
-
-
-def _choose(condition: Any, one: Nearest, other: Nearest) -> Nearest:
-    distance = where(condition, one.distance, other.distance)
-    vectors = (_choose_vector(condition, *both) for both in ((one.at, other.at), (one.normal, other.normal)))
-    return Nearest(distance, *vectors)
-
-
-def _choose_vector(condition: Any, one: Vector, other: Vector) -> Vector:
-    return Vector(*(where(condition, x, y) for x, y in zip(one, other, strict=True)))

@@ -16,7 +16,9 @@ from sweep.systems.mujoco_model.kernel.scalars import (
     ZERO,
     Scalar,
     Vector,
+    choose,
     clip,
+    keep_nearest,
     round_down,
     round_up,
     smallest,
@@ -40,11 +42,11 @@ class FieldGrid(NamedTuple):
     half: np.ndarray  # (2,) m, half sizes along x and y
     step: np.ndarray  # (2,) m, between neighbouring points
     counts: np.ndarray  # (2,) number of points
-    cells: np.ndarray  # (2,) of a sphere's bounding square, at most
+    cells: np.ndarray  # (2,) number that the square around a sphere can overlap, at most
 
 
 def find_field_grid(model: mujoco.MjModel, geom: int, radius: float) -> FieldGrid:
-    """Return the grid of a height field, and of how many cells a sphere's bounding square has parts.
+    """Return the grid of a height field, and how many of its cells the square around a sphere can overlap at most.
 
     Args:
         model: The model.
@@ -107,13 +109,8 @@ def find_field_contacts(
                 counts = inside[0][i] & inside[1][j]
                 buried.append(is_inside & counts)
                 rest = one._replace(square=where(counts, one.square, FAR_SQUARE))
-                for k, other in enumerate(kept):
-                    is_nearer = rest.square < other.square
-                    kept[k], rest = _choose(is_nearer, rest, other), _choose(is_nearer, other, rest)
-                if len(kept) < MOST_PRISMS:
-                    kept.append(rest)
-                else:
-                    left = smallest(left, rest.square)
+                dropped = keep_nearest(kept, rest, MOST_PRISMS)
+                left = left if dropped is None else smallest(left, dropped)
     unsure = left < radius * radius
     for flag in buried:
         unsure = unsure | flag
@@ -176,10 +173,5 @@ def _nearest_of_prism(
     is_face = is_within(first.x - gap.x, first.y - gap.y)
     best = FieldContact(where(is_face, gap.dot(gap), FAR_SQUARE), gap)
     for side in sides:
-        best = _choose(side.square < best.square, side, best)
+        best = choose(side.square < best.square, side, best)
     return best, is_within(first.x, first.y) & ~(height > ZERO)
-
-
-def _choose(condition: Any, one: FieldContact, other: FieldContact) -> FieldContact:
-    gap = Vector(*(where(condition, x, y) for x, y in zip(one.gap, other.gap, strict=True)))
-    return FieldContact(where(condition, one.square, other.square), gap)

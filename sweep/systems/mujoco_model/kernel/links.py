@@ -11,7 +11,7 @@ FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
 
 def find_tendon_coefficients(model: mujoco.MjModel, tendon: int) -> dict[int, float]:
-    """Return the coefficients of a fixed tendon, which its length has of the positions of joints, by the joints' ids.
+    """Return the coefficients of a fixed tendon by joint: its length is the sum of joint positions times coefficients.
 
     Args:
         model: The model.
@@ -26,7 +26,7 @@ def find_tendon_coefficients(model: mujoco.MjModel, tendon: int) -> dict[int, fl
 
 
 def find_lever(model: mujoco.MjModel, actuator: int, joint: int) -> float:
-    """Return the force on a joint by unit force of an actuator with gear 1: 1 on a joint, a coefficient on a tendon.
+    """Return the force that an actuator of unit force and gear exerts on a joint: 1, or the coefficient of its tendon.
 
     Args:
         model: The model.

@@ -213,6 +213,41 @@ class Vector(NamedTuple):
 NOTHING = Vector(ZERO, ZERO, ZERO)
 
 
+def choose[T: tuple](condition: Any, one: T, other: T) -> T:
+    """Return one of two vectors, or of two named tuples of numbers and vectors, for each rollout.
+
+    Args:
+        condition: Whether to take the first.
+        one: The first.
+        other: The second.
+    """
+    parts = (
+        where(condition, a, b) if isinstance(a, Scalar) else choose(condition, a, b)
+        for a, b in zip(one, other, strict=True)
+    )
+    return type(one)(*parts)  # pyright: ignore[reportArgumentType]
+
+
+def keep_nearest[T: tuple](kept: list[T], one: T, most: int) -> Scalar | None:
+    """Sort a place into a list of the nearest ones, which begin with their distance.
+
+    Args:
+        kept: The nearest places so far, in order, at most `most`; changed in place.
+        one: A further place.
+        most: Number of places to keep.
+
+    Returns:
+        The distance of the place that is left out; None if there was room.
+    """
+    for k, other in enumerate(kept):
+        is_nearer = one[0] < other[0]
+        kept[k], one = choose(is_nearer, one, other), choose(is_nearer, other, one)
+    if len(kept) < most:
+        kept.append(one)
+        return None
+    return one[0]
+
+
 class SymmetricMatrix(NamedTuple):
     """A symmetric 3x3 matrix of numbers in the kernel's program."""
 
