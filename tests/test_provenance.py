@@ -83,19 +83,19 @@ def test_every_module_that_a_worker_runs_is_in_the_version_of_the_code(monkeypat
         "engines/native.py",
     } <= named
     assert not [name for name in named if name.startswith(("cli", "report", "replay"))]
-    real, version, asked = provenance._read, provenance.code_version(), []
-
-    def read(file, edited=None):
-        asked.append(file)
-        imports, said = real(file)
-        return imports, said + "\nvalues *= 2" * (file == edited)
-
+    real, version = provenance._read, provenance.code_version()
     for edited in (None, *sorted(sources)[::25]):  # one in 25: each takes half a second
-        monkeypatch.setattr(provenance, "_read", lambda file, edited=edited: read(file, edited))
-        asked.clear()
+        asked = set()
+
+        def read(file, edited=edited, asked=asked):
+            asked.add(file)
+            imports, said = real(file)
+            return imports, said + "\nvalues *= 2" * (file == edited)
+
+        monkeypatch.setattr(provenance, "_read", read)
         provenance.code_version.cache_clear()
         assert (provenance.code_version() != version) == (edited is not None), edited
-        assert set(sources) <= set(asked)
+        assert set(sources) <= asked
     provenance.code_version.cache_clear()
 
 

@@ -54,10 +54,8 @@ FIRST_RADIUS, MAX_RADIUS, MAX_HALVINGS = (
 # rounds of rollouts
 NOISE, FIRST_MOVE = 0.3, 0.3  # random change of a number; its largest move in a round; both in first steps
 MOVE_DECAY_ROUNDS = 10  # rounds after which moves fall as the square root of their number
-KEPT_SHARE, CHANCE = (
-    0.7,
-    2.0,
-)  # share of earlier rounds in the mean effect; effect in standard errors that halves a move
+KEPT_SHARE = 0.7  # of earlier rounds in the mean effect
+CHANCE = 2.0  # standard errors: an effect as large is trusted half, and its number makes half of the largest move
 
 
 def parse_free_plan_numbers(
@@ -296,10 +294,11 @@ def search_by_rollouts(
     log: Path,
     progress: Callable[[int, float], None],
 ) -> np.ndarray:
-    """Find changes of a plan's numbers, in proportion to given shares, with which simulated rollouts end better.
+    """Find how a plan's numbers should follow given shares of each draw, such as sizes, so that rollouts end better.
 
-    In each round every draw is simulated twice, with random changes of all numbers of opposite signs. Numbers move
-    along their mean effect on the scores, less where it does not differ from chance.
+    A number changes in a draw by the sum of its slopes times the draw's shares. In each round every draw is simulated
+    twice, with random changes of all numbers, of opposite signs. Each slope then moves in the direction in which scores
+    rose, and the less, the more the rise may be chance.
 
     Args:
         draw: Function from the number of a round to its draws and their shares (draws, k), such as relative changes
@@ -311,7 +310,7 @@ def search_by_rollouts(
         progress: Receives the number of rounds and the mean score of the last round.
 
     Returns:
-        Changes (n, k) of the numbers per share.
+        Slopes (n, k): changes of the numbers per unit of each share.
 
     Raises:
         InputError: The log belongs to another search.
@@ -332,9 +331,9 @@ def search_by_rollouts(
         single /= np.maximum((by**2).mean(axis=0), 1e-12)
         effect = KEPT_SHARE * effect + (1 - KEPT_SHARE) * single.mean(axis=0)
         variance = KEPT_SHARE**2 * variance + (1 - KEPT_SHARE) ** 2 * single.var(axis=0) / len(by)
-        told = effect / np.sqrt(np.maximum(variance, 1e-30))
+        significance = effect / np.sqrt(np.maximum(variance, 1e-30))
         move = FIRST_MOVE * min(1.0, (MOVE_DECAY_ROUNDS / (k + 1)) ** 0.5)
-        at = at + move * np.sign(told) * told**2 / (told**2 + CHANCE**2)
+        at = at + move * np.sign(significance) * significance**2 / (significance**2 + CHANCE**2)
         append_log(log, [last, at.tolist(), effect.tolist(), variance.tolist()])
     return steps[:, None] * at / spread
 
